@@ -7,6 +7,7 @@ export PATH="$PWD/.venv/bin:$PATH"
 ruff check .
 ruff format --check .
 mypy
+complexipy
 lint-imports
 # In three processes on two cores: one in three waits for a robot, a browser or a deadline. `tests/sharing.py` shares out.
 status=0

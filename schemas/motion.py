@@ -8,8 +8,8 @@ from pydantic import Field, model_validator
 from schemas.base import Message, Strict
 
 
-class Pose(Message):
-    """Ground truth: planar pose of the robot in the world (unused by the method)."""
+class TruePose(Message):
+    """True planar pose of the robot in the world (from the simulator; never seen by the method)."""
 
     topic: ClassVar[str] = "pose/truth"
 

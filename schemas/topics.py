@@ -14,7 +14,7 @@ from schemas.camera import CameraInfo, CompressedImage, DepthImage, OverheadImag
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from schemas.heartbeat import Heartbeat, Pulse
-from schemas.motion import Imu, Odometry, Pose, TrackedPose
+from schemas.motion import Imu, Odometry, TrackedPose, TruePose
 from schemas.observation import Observation
 from schemas.snapshot import Snapshot
 from schemas.state import State
@@ -70,9 +70,10 @@ DEPTH: Final = Topic("camera/depth", DepthImage, 10, 1, False)
 OVERHEAD: Final = Topic("camera/overhead", OverheadImage, 10, 1, False)
 ODOMETRY: Final = Topic("odometry", Odometry, 10, 8, True)
 IMU: Final = Topic("imu", Imu, 10, 8, True)
-POSE: Final = Topic("pose/truth", Pose, 10, 8, True)
+POSE: Final = Topic("pose/truth", TruePose, 10, 8, True)
 TRACKED: Final = Topic("pose/tracked", TrackedPose, 10, 8, True)
-OBSERVATION: Final = Topic("observation", Observation, 10, 8, True)
+#: Not recorded: a vector is larger than its image, from which learning computes it again.
+OBSERVATION: Final = Topic("observation", Observation, 10, 8, False)
 STATE: Final = Topic("state", State, 10, 8, True)
 MAP: Final = Topic("map", TaughtMap, None, 8, True)
 #: Snapshots by which instances of a service pass on robots; see `services.kit.group`.

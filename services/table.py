@@ -67,7 +67,7 @@ SERVICES: Final = {
         Service(
             "features",
             "describes images",
-            (topics.JPEG, topics.DEPTH),
+            (topics.JPEG,),
             (topics.OBSERVATION,),
             grouped=True,
         ),
@@ -132,7 +132,7 @@ SERVICES: Final = {
         Service(
             "expert",
             "drives by the map, to demonstrate",
-            (topics.POSE, topics.OBSERVATION),
+            (topics.POSE,),
             (COMMANDS["expert"],),
             image=None,
             role="operator",

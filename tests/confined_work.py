@@ -1,4 +1,4 @@
-"""Work in a child process that does what hostile files make libraries do."""
+"""Work in a child process that misbehaves as libraries do with hostile files."""
 
 import os
 import time
@@ -53,6 +53,6 @@ def sleep(_request: object, work: Work) -> None:
 
 
 def echo(request: Any, _work: Work) -> Any:
-    """Return the request; what a library prints is no reply."""
+    """Return the request; the output of a library is no reply."""
     os.write(1, b"a library prints\n")
     return request

@@ -1,4 +1,4 @@
-"""What holds for all tests."""
+"""Fixtures and settings of all tests."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from hypothesis import settings
 
 from services.simulator.world import Pose
 from services.simulator.world.loading import WORLDS_FOLDER, Wishes, import_map
+from tests.chromium import CHROMIUM, FLAGS, NO_CHROMIUM
 from tests.command import run_smal
 from tests.services.waiting import Lost, stalls
 from tests.sharing import FIRST, Sharing, made_once
@@ -46,7 +47,7 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with what lasts longest, so that no process is left alone with it."""
+    """Begin with the longest folders, so that no process ends alone with them."""
     items.sort(
         key=lambda item: next(
             (k for k, one in enumerate(FIRST) if item.nodeid.startswith(one)), len(FIRST)
@@ -56,7 +57,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Sharing:
-    """Have processes share the tests by folder and file, whatever ``--dist`` says."""
+    """Share the tests by folder and file, regardless of ``--dist``."""
     config.option.loadscopereorder = False
     return Sharing(config, log)
 
@@ -118,7 +119,7 @@ def taught_paper(taught: Path) -> Path:
 
 @pytest.fixture
 def lost_s() -> Iterator[Lost]:
-    """Give what a busy machine adds to a time, in all since another one; see `stalls`."""
+    """Give the time that a busy machine added since a moment; see `stalls`."""
     with stalls() as lost_s:
         yield lost_s
 
@@ -127,8 +128,6 @@ def lost_s() -> Iterator[Lost]:
 def browser() -> Iterator[Browser]:
     """Start Debian's Chromium, which deploy/setup.sh --tests installs, for tests of pages."""
     from playwright.sync_api import sync_playwright  # noqa: PLC0415 - only tests of pages need it
-
-    from tests.benchmarks.soak.page import CHROMIUM, FLAGS, NO_CHROMIUM  # noqa: PLC0415
 
     assert CHROMIUM is not None, NO_CHROMIUM
     with sync_playwright() as play:

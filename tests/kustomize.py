@@ -50,7 +50,7 @@ def built(folder: Path) -> list[Object]:
             one.update(_merged(one, told))
     for container in (container for one in objects for container in containers(one)):
         for image in kustomization.get("images", []):
-            name, _, tag = re.fullmatch(r"(.+?)(:([^:/]+))?", container["image"]).groups(default="")  # type: ignore[union-attr]
+            name, _, tag = re.fullmatch(r"(.+?)(:([^:/]+))?", container["image"]).groups(default="")
             if name.split("/")[-1] == image["name"]:
                 container["image"] = ":".join(
                     filter(None, (image.get("newName", name), image.get("newTag", tag)))

@@ -1,4 +1,4 @@
-"""How processes share the tests: who does which, and what is costly to make is made once a run."""
+"""Distribution of the tests over processes; costly fixtures are made once a run."""
 
 import fcntl
 import os

@@ -1,4 +1,4 @@
-"""The README is true where a test can tell."""
+"""The README agrees with the program."""
 
 import math
 import re

@@ -2,6 +2,7 @@
 
 import ast
 import subprocess
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -44,3 +45,14 @@ def test_no_assignment_packs_values() -> None:
         for line in _packed(path.read_text())
     ]
     assert packed == []
+
+
+def test_no_public_class_name_stands_twice() -> None:
+    names = Counter(
+        node.name
+        for path in _sources()
+        if path.relative_to(ROOT).parts[0] in {"smal", "schemas", "services"}
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    assert [name for name, count in names.items() if count > 1] == []

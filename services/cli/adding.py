@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from services.cli import options
+from services.cli.lessons import save
 from services.cli.outputs import writing
 from services.experiments.words import remark
 from services.kit.errors import JobError, UsageError
-from services.kit.model_service import AnyModel
 from services.recordings.dataset import Teacher
-from smal.files.container import ModelError
 from smal.model import Model
 from smal.teaching.living import Verdict, lived, whole_runs
 
@@ -90,14 +89,6 @@ def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]
         "false_goals": verdict.false_goals,
         "taken": verdict.better,
     }
-
-
-def save(model: AnyModel, path: Path) -> None:
-    """Write a model; JobError when it is too large."""
-    try:
-        model.save(path)
-    except ModelError as error:
-        raise JobError(str(error)) from None
 
 
 def _words(verdict: Verdict) -> str:

@@ -8,7 +8,6 @@ import typer
 from tqdm import tqdm
 from typer import Option
 
-from schemas import topics
 from schemas.episode import Purpose
 from schemas.rpc import ResetRequest
 from services.cli import options, outputs
@@ -35,7 +34,6 @@ def demonstrate(
         "recordings"
     ),
     simulator: options.Simulator,
-    modalities: options.Modalities = None,
     stack: options.RunOptions,
 ) -> None:
     """Have the scripted expert demonstrate the search, and record it.
@@ -46,7 +44,7 @@ def demonstrate(
     Example: smal demonstrate --world campus --seed 1 --out drives
     """
     chosen, name = stack.world(world)
-    stack.refuse(simulator, modalities)
+    stack.refuse(simulator)
     kinds: dict[Purpose, tuple[int, int]] = {
         "drive": (episodes, DRIVE_TICKS),
         "recovery": (recoveries, RECOVERY_TICKS),
@@ -59,10 +57,9 @@ def demonstrate(
     if not requests:
         raise UsageError("--episodes 0 --recoveries 0: nothing to demonstrate")
     outputs.make_folder(out, "--out")
-    services = ("router", "robot", "features", "recorder")
+    services = ("router", "robot", "recorder")
     own = {
         "robot": simulator.flags(chosen),
-        "features": options.feature_flags(modalities),
         "recorder": flags(root=out.resolve()),
     }
     with stack_for(stack.settings, services, stack.robot, own) as access:
@@ -78,8 +75,7 @@ def _record(
     expert = ExpertService()
     records: list[EpisodeRecord] = []
     with closing(EpisodeClient("expert", access.settings)) as client:
-        client.watch_poses(expert.see)
-        client.node.subscribe(topics.OBSERVATION, expert.handle, depth=4)
+        client.watch_poses(expert.handle)
         client.node.bus.wait_connected(5.0)
         with recording(client.node.bus, out, "--out") as recorded:
             driven = client.run_all(

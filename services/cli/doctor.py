@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -20,19 +21,18 @@ from schemas import topics
 from schemas.base import Strict
 from schemas.command import Command
 from services.cli import options
-from services.cli.stack import answers, free_endpoint, instances
+from services.cli.stack import GROUPED, Instances, answers, free_endpoint, instances
 from services.kit.bus import Bus, BusError, Router, addresses, check_credentials, host_and_port
 from services.kit.credentials import how_secure
 from services.kit.errors import JobError
 from services.kit.process import EXIT_FAILED
 from services.kit.settings import ServiceSettings, fleet
-from services.table import SERVICES, stack_services
+from services.table import stack_services
 
 PYTHONS: Final = ((3, 11), (3, 13))
 DISK_GB: Final = 2.0  # Recordings of a full set of drives, with room for the reports.
 RENDER_TIMEOUT_S: Final = 120.0
 MESSAGE_TIMEOUT_S: Final = 5.0
-GROUPED: Final = tuple(service.name for service in SERVICES.values() if service.grouped)
 
 
 def doctor(*, as_json: options.Json = False, reach: options.Reach) -> None:
@@ -40,24 +40,25 @@ def doctor(*, as_json: options.Json = False, reach: options.Reach) -> None:
 
     Example: smal doctor
     """
-    settings = reach.settings
-    results = []
     checks: dict[str, Callable[[], str]] = {
-        "python": check_python, "disk": check_disk, "zenoh": check_zenoh, "port": lambda: check_port(settings),
+        "python": check_python,
+        "disk": check_disk,
+        "zenoh": check_zenoh,
+        "port": partial(check_port, reach.settings),
         "rendering": check_rendering,
-    }  # fmt: skip
+    }
+    results = []
     for name, check in checks.items():
         try:
-            results.append({"name": name, "ok": True, "text": check()})
+            one = {"name": name, "ok": True, "text": check()}
         except JobError as problem:
-            results.append({"name": name, "ok": False, "text": str(problem)})
+            one = {"name": name, "ok": False, "text": str(problem)}
+        results.append(one)
         if not as_json:
-            typer.echo(
-                f"{'ok' if results[-1]['ok'] else 'problem':8} {name:10} {results[-1]['text']}"
-            )
+            typer.echo(f"{'ok' if one['ok'] else 'problem':8} {name:10} {one['text']}")
     if as_json:
         typer.echo(json.dumps(results, indent=2))
-    if not all(result["ok"] for result in results):
+    if not all(one["ok"] for one in results):
         raise typer.Exit(EXIT_FAILED)
 
 
@@ -133,21 +134,11 @@ def check_zenoh() -> str:
 
 
 def check_port(settings: ServiceSettings) -> str:
-    """Look who listens on the router's port: nobody, a running stack, or somebody else; and who gets in there."""
+    """Check that the router's port is free, or used by a running stack that lets this machine in."""
     endpoint = settings.router
-    robot = settings.robot
     credentials = settings.credentials("watcher")
     check_credentials(endpoint, credentials)
-    free = []
-    for address in addresses(endpoint):
-        try:
-            socket.create_connection(host_and_port(address), 1.0).close()
-        except ConnectionRefusedError:
-            free.append(address)
-        except OSError as error:
-            raise JobError(
-                f"{address}: {error}; give another with --router or SMAL_ROUTER"
-            ) from None
+    free = [address for address in addresses(endpoint) if _is_free(address)]
     if ",".join(free) == endpoint:
         return f"{endpoint} is free, {how_secure(credentials, *(host_and_port(address)[0] for address in free))}"
     if free:
@@ -155,27 +146,42 @@ def check_port(settings: ServiceSettings) -> str:
     port = host_and_port(addresses(endpoint)[0])[1]
     elsewhere = f"stop it if it should not be there (ss -ltnp 'sport = :{port}'), or set SMAL_ROUTER to another port"
     try:
-        with closing(settings.open_bus("watcher", patience_s=1.0)) as bus:
-            running = [service for service in stack_services() if answers(bus, service) is not None]
-            shared = instances(bus)
-            router = answers(bus, "router")
+        running, shared = _running(settings)
     except BusError as error:
         raise JobError(f"{error}; {elsewhere}") from None
     if not running:
         raise JobError(
-            f"{endpoint} is used by a Zenoh router without services of {robot}; {elsewhere}"
+            f"{endpoint} is used by a Zenoh router without services of {settings.robot}; {elsewhere}"
         )
-    if router is not None:
-        robots = fleet(robot, int(router.detail.get("robots") or 1))
+    stack = f"the running stack of {settings.robot}, {how_secure(credentials)}"
+    found = [f"{endpoint} is used by {stack}: {', '.join(running)}"]
+    alone = all(served == [settings.robot] for by in shared.values() for served in by.values())
+    for service, by in ({} if alone else shared).items():
+        served = (f"{instance} serves {' '.join(robots)}" for instance, robots in by.items())
+        found.append(f"{service}: {', '.join(served)}")
+    return "; ".join(found)
+
+
+def _is_free(address: str) -> bool:
+    try:
+        socket.create_connection(host_and_port(address), 1.0).close()
+    except ConnectionRefusedError:
+        return True
+    except OSError as error:
+        raise JobError(f"{address}: {error}; give another with --router or SMAL_ROUTER") from None
+    return False
+
+
+def _running(settings: ServiceSettings) -> tuple[list[str], Instances]:
+    """Return the services that answer, and the instances of the shared services; check that these serve all robots."""
+    with closing(settings.open_bus("watcher", patience_s=1.0)) as bus:
+        running = [service for service in stack_services() if answers(bus, service) is not None]
+        shared = instances(bus)
+        router = answers(bus, "router")
+    if running and router is not None:
+        robots = fleet(settings.robot, int(router.detail.get("robots") or 1))
         check_served(robots, {service: shared.get(service, {}) for service in GROUPED})
-    told = f"{endpoint} is used by the running stack of {robot}, {how_secure(credentials)}: {', '.join(running)}"
-    if all(served == [robot] for by in shared.values() for served in by.values()):
-        return told
-    return told + "".join(
-        f"; {service}: "
-        + ", ".join(f"{instance} serves {' '.join(robots)}" for instance, robots in by.items())
-        for service, by in shared.items()
-    )
+    return running, shared
 
 
 def check_served(robots: Sequence[str], shared: Mapping[str, Mapping[str, Sequence[str]]]) -> None:

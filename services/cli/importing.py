@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -24,7 +25,71 @@ from smal.files.confined import ConfinedError, WorkLimits, confined, size_of
 _WORK: Final = "services.importers.run:work"
 
 
+@dataclass(frozen=True)
+class Part:
+    """Which part of a source is imported, and what it shows; the fields are those of `ImportJob`."""
+
+    goal: options.GoalOfDrives = "victim"
+    success: Annotated[
+        bool | None, Option("--succeeded/--failed", help="Whether the drives reached the goal.")
+    ] = None
+    camera: Annotated[
+        str | None, Option(help="Topic of a bag, or feature of LeRobot, with the images.")
+    ] = None
+    velocity: Annotated[str | None, Option(help="Source of the velocities; see above.")] = None
+    episodes: Annotated[
+        list[str] | None,
+        Option("--episode", help="Only this drive, by the source's name; may be repeated."),
+    ] = None
+    from_s: Annotated[
+        float, Option("--from", min=0, metavar="S", help="Omitted first seconds of each drive.")
+    ] = 0.0
+    to_s: Annotated[
+        float, Option("--to", min=0, metavar="S", help="End of each drive.", show_default=False)
+    ] = 1e9
+    robot: options.Robot = options.DEFAULT_ROBOT
+
+
+@dataclass(frozen=True)
+class SourceScale:
+    """What the values of a source mean; the fields are those of `ImportJob`."""
+
+    rate_hz: Annotated[
+        float | None,
+        Option("--rate", min=0.1, max=1000, metavar="HZ", help="Frames a second; see above."),
+    ] = None
+    speed: Annotated[
+        float | None, Option(metavar="M_S", help="Metres a second of a speed of 1.")
+    ] = None
+    turn_rate: Annotated[
+        float | None, Option(metavar="RAD_S", help="Radians a second of a turn rate of 1.")
+    ] = None
+    quantile: Annotated[
+        float, Option(help="Share of moving samples that nominal speed exceeds.")
+    ] = QUANTILE
+    still: Annotated[float, Option(help="Fraction of nominal below which the robot stands.")] = (
+        STILL
+    )
+    turning: Annotated[
+        float, Option(help="Fraction of the nominal turn rate from which on the robot turns.")
+    ] = TURNING
+    field_of_view_deg: Annotated[
+        float | None,
+        Option(
+            "--field-of-view",
+            min=5,
+            max=170,
+            metavar="DEG",
+            help="Horizontal field of view of the camera. [default: the source's]",
+        ),
+    ] = None
+    no_odometry: Annotated[bool, Option("--no-odometry", help="No odometry from velocities.")] = (
+        False
+    )
+
+
 def import_recordings(
+    *,
     format_: Annotated[str, Argument(metavar="FORMAT", help=f"One of {', '.join(FORMATS)}.")],
     path: Annotated[
         Path, Argument(metavar="PATH", help="The source: a folder, or of a bag the file.")
@@ -32,51 +97,8 @@ def import_recordings(
     out: Annotated[Path, Option(help="Folder for the recordings, one MCAP file a drive.")] = Path(
         "recordings"
     ),
-    goal: options.GoalOfDrives = "victim",
-    failed: Annotated[
-        bool | None, Option("--failed/--succeeded", help="Whether the drives reached the goal.")
-    ] = None,
-    camera: Annotated[
-        str | None, Option(help="Which camera: a bag's topic, a LeRobot feature.")
-    ] = None,
-    velocity: Annotated[str | None, Option(help="Which velocities; see above.")] = None,
-    episode: Annotated[
-        list[str] | None, Option(help="Only this drive, by the source's name; may be repeated.")
-    ] = None,
-    from_s: Annotated[
-        float, Option("--from", min=0, metavar="S", help="Leave out each drive's first seconds.")
-    ] = 0.0,
-    to_s: Annotated[
-        float | None, Option("--to", min=0, metavar="S", help="Leave out what comes later.")
-    ] = None,
-    rate: Annotated[
-        float | None, Option(min=0.1, max=1000, metavar="HZ", help="Frames a second; see above.")
-    ] = None,
-    speed: Annotated[
-        float | None, Option(metavar="M_S", help="What a speed of 1 stands for.")
-    ] = None,
-    turn_rate: Annotated[
-        float | None, Option(metavar="RAD_S", help="What a turn rate of 1 stands for.")
-    ] = None,
-    quantile: Annotated[
-        float, Option(help="Share of moving samples that nominal speed exceeds.")
-    ] = QUANTILE,
-    still: Annotated[
-        float, Option(help="Below this fraction of nominal the robot stands.")
-    ] = STILL,
-    turning: Annotated[
-        float, Option(help="From this fraction of the nominal turn rate on it turns.")
-    ] = TURNING,
-    field_of_view: Annotated[
-        float | None,
-        Option(
-            min=5, max=170, metavar="DEG", help="Of the camera, across. [default: the source's]"
-        ),
-    ] = None,
-    no_odometry: Annotated[
-        bool, Option("--no-odometry", help="Reckon no way from velocities.")
-    ] = False,
-    robot: options.Robot = options.DEFAULT_ROBOT,
+    part: Part,
+    scale: SourceScale,
     json_file: options.JsonFile = None,
 ) -> None:
     """Make recordings that `smal learn` takes out of what somebody recorded with other software.
@@ -98,17 +120,12 @@ def import_recordings(
     """
     form = check_format(format_)
     outputs.check_file(json_file, "--json")
-    if to_s is not None and to_s <= from_s:
-        raise UsageError(f"--to {to_s:g}: is not after --from {from_s:g}")
+    if part.to_s <= part.from_s:
+        raise UsageError(f"--to {part.to_s:g}: is not after --from {part.from_s:g}")
     with outputs.workshop(out, "--out") as folder:
-        job = ImportJob(
-            format=form, path=str(path), folder=str(folder), robot=robot, goal=goal,
-            success=None if failed is None else not failed, reckon=not no_odometry,
-            from_s=from_s, **{} if to_s is None else {"to_s": to_s},
-            field_of_view_deg=field_of_view,
-            quantile=quantile, still=still, turning=turning, camera=camera, velocity=velocity, rate_hz=rate,
-            speed=speed, turn_rate=turn_rate, episodes=tuple(episode or ()),
-        )  # fmt: skip
+        asked = asdict(part) | asdict(scale) | {"episodes": tuple(part.episodes or ())}
+        asked["reckon"] = not asked.pop("no_odometry")
+        job = ImportJob(format=form, path=str(path), folder=str(folder), **asked)
         remarks, report = _run(job)
         files = []
         for made in map(Path, report.files):

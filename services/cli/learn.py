@@ -1,19 +1,15 @@
 """``smal learn``: recordings in, a map of views out."""
 
 import time
-from contextlib import closing
-from pathlib import Path
 from typing import Annotated, Any
 
-from typer import Argument, Option
+from typer import Option
 
-from services.cli import options, outputs
-from services.cli.adding import add_runs, save
-from services.cli.lessons import check_out, taught_by, tell, tell_learned
-from services.experiments.progress import Bars
+from services.cli import options
+from services.cli.adding import add_runs
+from services.cli.lessons import Lessons
 from services.kit.errors import JobError, UsageError
-from services.recordings.dataset import features_of_recordings, find_recordings
-from smal.features import FeatureSettings
+from services.recordings.dataset import find_recordings
 from smal.model import Model
 from smal.teaching.mapping import learn as learn_map
 
@@ -21,20 +17,12 @@ _SHORTEST = 2  # Frames without a gap that teach a way.
 
 
 def learn(
-    recordings: Annotated[list[Path], Argument(help="Recordings (MCAP), or folders of them.")],
-    out: Annotated[Path, Option(help="Where to write the model.")],
-    modalities: options.Modalities = None,
-    include_runs: Annotated[
-        bool, Option(help="Learn also from runs in which the robot found the victim.")
-    ] = False,
+    *,
+    lessons: Lessons,
     add: Annotated[
-        bool, Option("--add", help="Have the model at --out learn more from runs of its own.")
+        bool, Option("--add", help="Further learning of the model at --out, from its own runs.")
     ] = False,
     at_work: options.AtWork = options.HERE,
-    json_file: options.JsonFile = None,
-    progress: Annotated[
-        bool, Option("--progress", help="Print progress as lines of JSON, for a program.")
-    ] = False,
 ) -> None:
     """Learn the taught ways from recorded drives: a map of views.
 
@@ -43,8 +31,7 @@ def learn(
     Only camera, wheel odometry and applied commands are used, never true poses. The paper's model is learned by `smal
     paper learn`.
 
-    The modalities may be any of those in a recording, except depth. All of them can also be computed from the recorded
-    images.
+    The features are computed from the recorded images; --modalities may name any but depth.
 
     With --add the model at --out learns from runs that found the victim, two or more: where the robot was sure of its
     place though the view was unlike the taught one, the place gets a further look, four at most. Every second run is
@@ -56,38 +43,24 @@ def learn(
     Example: smal learn drives --modalities color,hog,apriltag --workers 2 --out campus.smal
     """
     began_s = time.perf_counter()
-    check_out(out, json_file)
+    lessons.check()
     if add:
-        if modalities is not None:
+        if lessons.modalities is not None:
             raise UsageError(
-                "--add: the model at --out says by which features it learns; leave them out"
+                "--modalities: with --add the model at --out has its own; leave them out"
             )
-        with closing(Bars(as_json=progress)) as bars:
-            found = add_runs(find_recordings(recordings), out, bars)
-        tell(found, out, began_s, json_file)
+        with lessons.bars() as bars:
+            added = add_runs(find_recordings(lessons.recordings), lessons.out, bars)
+        lessons.report(added, began_s)
         return
-    outputs.make_folder(out.parent, "--out")
-    files = find_recordings(recordings)
-    features = _features(files, modalities)
-    with closing(Bars(as_json=progress)) as bars, at_work.engine() as engine:
-        teaching = taught_by(files, features, _SHORTEST, include_runs, bars)
+    files, features = lessons.find()
+    with lessons.bars() as bars, at_work.engine() as engine:
+        teaching = lessons.taught(files, features, _SHORTEST, bars)
         try:
             model = learn_map(teaching.demonstrations, features, progress=bars, parallel=engine.map)
         except ValueError as error:
             raise JobError(f"cannot learn from these recordings: {error}") from None
-    save(model, out)
-    tell_learned(_found(model), teaching, features, out, began_s, json_file)
-
-
-def _features(files: list[Path], modalities: FeatureSettings | None) -> FeatureSettings:
-    """Return the features to learn from: the given ones, or the recorded ones without depth."""
-    features = modalities or features_of_recordings(files)
-    if "depth" not in features.needs:
-        return features
-    if modalities is not None:
-        no_depth = "a map of views has no depth; leave depth out, or use `smal paper learn`"
-        raise UsageError(f"--modalities {modalities.text}: {no_depth}")
-    return features.of_images() or FeatureSettings()
+    lessons.finish(model, _found(model), teaching, began_s)
 
 
 def _found(model: Model) -> dict[str, Any]:

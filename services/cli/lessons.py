@@ -1,76 +1,110 @@
-"""The parts that `smal learn` and `smal paper learn` share: they read the recordings, and report the model."""
+"""Options and steps that `smal learn` and `smal paper learn` share."""
 
 import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 
-from services.cli import outputs
+from services.cli import options, outputs
 from services.experiments.progress import Bars
 from services.experiments.words import counted, remark
 from services.kit.errors import JobError, UsageError
-from services.recordings.dataset import Teacher, Teaching
+from services.kit.model_service import AnyModel
+from services.recordings.dataset import Teacher, Teaching, find_recordings
 from smal.features import FeatureSettings
+from smal.files.container import ModelError
 
 
-def check_out(out: Path, json_file: Path | None) -> None:
-    """Check the paths of the model and of the report, before any recording is read."""
-    if out.is_dir():
-        raise UsageError(
-            f"--out {out}: is a folder; give the name of a file, for example {out / 'model.smal'}"
-        )
-    outputs.check_file(json_file, "--json")
+@dataclass(frozen=True)
+class Lessons:
+    """Recordings, and where the model and its report go."""
+
+    recordings: Annotated[list[Path], Argument(help="Recordings (MCAP), or folders of them.")]
+    out: Annotated[Path, Option(help="File of the model.")]
+    modalities: options.Modalities = None
+    include_runs: Annotated[
+        bool, Option(help="Successful runs of the robot as further drives.")
+    ] = False
+    json_file: options.JsonFile = None
+    progress: Annotated[
+        bool, Option("--progress", help="Progress as lines of JSON, for a program.")
+    ] = False
+
+    def check(self) -> None:
+        """Check the paths of the results before any recording is read."""
+        if self.out.is_dir():
+            example = self.out / "model.smal"
+            raise UsageError(
+                f"--out {self.out}: is a folder; give the name of a file, for example {example}"
+            )
+        outputs.check_file(self.json_file, "--json")
+
+    @contextmanager
+    def bars(self) -> Iterator[Bars]:
+        """Show progress."""
+        with closing(Bars(as_json=self.progress)) as bars:
+            yield bars
+
+    def find(self) -> tuple[list[Path], FeatureSettings]:
+        """Return the recordings, and the features to learn from; make the folder of the model."""
+        outputs.make_folder(self.out.parent, "--out")
+        files = find_recordings(self.recordings)
+        return files, self.modalities or FeatureSettings()
+
+    def taught(
+        self, files: list[Path], features: FeatureSettings, shortest: int, bars: Bars
+    ) -> Teaching:
+        """Read recordings; JobError if they teach nothing."""
+        teacher = Teacher(features, shortest, include_runs=self.include_runs)
+        teaching = teacher.read_all(files, bars)
+        bars.close()
+        if not teaching.demonstrations and len(teaching.remarks) == 1:
+            raise JobError(teaching.remarks[0])
+        remark(teaching.remarks)
+        if not teaching.demonstrations:
+            what = counted(len(files), "recording")
+            raise JobError(f"nothing to learn from in {what}, for the reasons above")
+        return teaching
+
+    def report(
+        self, rows: dict[str, Any], began_s: float, content: dict[str, Any] | None = None
+    ) -> None:
+        """Print the rows of a report, and write them, or its own content, as JSON if asked to."""
+        if self.json_file is not None:
+            written = {"model": str(self.out)} | (rows if content is None else content)
+            outputs.write_json(self.json_file, "--json", written)
+        rows = rows | {"seconds": f"{time.perf_counter() - began_s:.1f}", "model": self.out}
+        for name, value in rows.items():
+            typer.echo(f"{name.replace('_', ' '):16}{value}")
+
+    def finish(
+        self, model: AnyModel, found: dict[str, Any], teaching: Teaching, began_s: float
+    ) -> None:
+        """Save a new model, and report it and the recordings that taught it."""
+        save(model, self.out)
+        modalities = model.feature_settings.modalities
+        used = {
+            "recordings": teaching.recordings,
+            "episodes": teaching.episodes,
+            "remarks": teaching.remarks,
+            "modalities": modalities,
+        }
+        episodes = counted(teaching.episodes, "episode")
+        rows = {
+            "recordings": f"{teaching.recordings} ({episodes} used)",
+            "features": " ".join(modalities),
+        }
+        self.report(rows | found, began_s, used | found)
 
 
-def taught_by(
-    files: list[Path], features: FeatureSettings, shortest: int, include_runs: bool, bars: Bars
-) -> Teaching:
-    """Read recordings; JobError if they teach nothing."""
-    teaching = Teacher(features, shortest, include_runs=include_runs).read_all(files, bars)
-    bars.close()
-    if not teaching.demonstrations and len(teaching.remarks) == 1:
-        raise JobError(teaching.remarks[0])
-    remark(teaching.remarks)
-    if not teaching.demonstrations:
-        raise JobError(
-            f"nothing to learn from in {counted(len(files), 'recording')}, for the reasons above"
-        )
-    return teaching
-
-
-def tell(
-    rows: dict[str, Any],
-    out: Path,
-    began_s: float,
-    json_file: Path | None,
-    content: dict[str, Any] | None = None,
-) -> None:
-    """Print the rows of a report, and write its content as JSON if asked to; without a content that is the rows."""
-    if json_file is not None:
-        outputs.write_json(
-            json_file, "--json", {"model": str(out)} | (rows if content is None else content)
-        )
-    for name, value in (
-        rows | {"seconds": f"{time.perf_counter() - began_s:.1f}", "model": out}
-    ).items():
-        typer.echo(f"{name.replace('_', ' '):16}{value}")
-
-
-def tell_learned(
-    found: dict[str, Any],
-    teaching: Teaching,
-    features: FeatureSettings,
-    out: Path,
-    began_s: float,
-    json_file: Path | None,
-) -> None:
-    """Report the recordings that taught a new model, and the model."""
-    used = {
-        "recordings": teaching.recordings,
-        "episodes": teaching.episodes,
-        "remarks": teaching.remarks,
-    }
-    recorded = f"{teaching.recordings} ({counted(teaching.episodes, 'episode')} used)"
-    rows = {"recordings": recorded, "features": " ".join(features.modalities)} | found
-    tell(rows, out, began_s, json_file, used | {"modalities": features.modalities} | found)
+def save(model: AnyModel, path: Path) -> None:
+    """Write a model; JobError when it is too large."""
+    try:
+        model.save(path)
+    except ModelError as error:
+        raise JobError(str(error)) from None

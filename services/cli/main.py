@@ -46,6 +46,7 @@ COMMANDS: Final = {
     "model": ("services.cli.model:app", "Look at what was learned."),
     "run": ("services.cli.run:run", "Let the robot find the victim by itself."),
     "evaluate": ("services.cli.evaluate:evaluate", "Run the paper's experiments in simulation."),
+    "laps": ("services.cli.laps:laps", "Evaluate place recognition on laps of a real robot."),
     "match": ("services.cli.match:match", "Match the places of two traverses."),
     "topic": ("services.cli.topic:app", "List the topics; listen to them."),
     "secure": ("services.cli.secure:app", "Make and check certificates: who may do what."),

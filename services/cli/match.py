@@ -2,15 +2,16 @@
 
 import time
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 import typer
 from typer import Argument, Option
 
 from services.cli import options, outputs
+from services.experiments.engine import Engine
 from services.experiments.matching import truth_file
 from services.experiments.matching.page import judging_page
 from services.experiments.matching.report import (
@@ -32,66 +33,226 @@ from smal.features import FeatureSettings
 from smal.place_recognition import Matches
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 _PLOT_FORMATS: Final = (".png", ".svg", ".pdf")
-_LOOP_PRECISION: Final = (
-    0.99  # Loops are kept that are right so often: a wrong one bends a whole map.
-)
+_LOOP_PRECISION: Final = 0.99  # Of loops: a wrong loop bends a whole map.
 _METHODS: Final = "; ".join(
     f"{name}: {method.meaning}" + (f" (l = {method.length})" if method.any_length else "")
     for name, method in METHODS.items()
 )
+_TEXTS: Final = {"--json": as_json, "--loops": as_g2o, "--page": judging_page}
+
+
+@dataclass(frozen=True)
+class MatchMethod:
+    """How places are recognized."""
+
+    method: Annotated[str, Option(help=f"Method of place recognition. {_METHODS}.")] = "smal"
+    length: Annotated[
+        int | None, Option(min=1, help="Frames of a window, l. [default: the method's]")
+    ] = None
+    modalities: options.Modalities = None
+    tolerance: Annotated[
+        int | None, Option(min=0, max=10**6, help="Largest error of a right match, frames.")
+    ] = None
+    online: Annotated[
+        int | None, Option(min=0, metavar="LAG", help="Delay of each answer, frames.")
+    ] = None
+    tau: Annotated[
+        float | None, Option(min=-1e6, max=1e6, help="Largest score that is left out.")
+    ] = None
+    precision: Annotated[
+        float | None, Option(min=0.0, max=1.0, help="Share of right matches among those kept.")
+    ] = None
+
+    def chosen(self) -> Method:
+        """Return the method; UsageError when it does not take one of the options."""
+        if self.method not in METHODS:
+            raise UsageError(f"--method {self.method}: unknown; known are {', '.join(METHODS)}")
+        method = METHODS[self.method]
+        if not method.any_features and self.modalities:
+            own = ", ".join(method.features.modalities)
+            raise UsageError(
+                f"--modalities {self.modalities.text}: the method {self.method} has its own "
+                f"features, {own}"
+            )
+        if self.length not in (None, method.length) and not method.any_length:
+            raise UsageError(f"--length {self.length}: the method {self.method} has no windows")
+        for name in ("tolerance", "online", "precision"):
+            if (value := getattr(self, name)) is not None:
+                self.require_probable(method, f"--{name} {value}")
+        return method
+
+    def require_probable(self, method: Method, option: str) -> None:
+        """Raise UsageError, which names an option, unless scores are probabilities."""
+        if not method.probable:
+            raise UsageError(
+                f"{option}: the scores of the method {self.method} are no probabilities"
+            )
+
+    def select(self, found: Matches) -> Matches:
+        """Return the matches with scores above --tau that reach --precision."""
+        found = found if self.tau is None else found.above(self.tau)
+        return found if self.precision is None else found.surest(self.precision)
+
+
+@dataclass(frozen=True)
+class Depth:
+    """Where depth images are."""
+
+    reference_depth: Annotated[
+        Path | None, Option(metavar="DIR", help="Depth images of REFERENCES; see above.")
+    ] = None
+    query_depth: Annotated[Path | None, Option(metavar="DIR", help="Depth images of QUERIES.")] = (
+        None
+    )
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is right."""
+
+    truth: Annotated[
+        str | None, Option(metavar="CSV|names|gps", help="Right matches; see above.")
+    ] = None
+    poses: Annotated[
+        tuple[Path, Path] | None,
+        Option(metavar="REFERENCES QUERIES", help="Positions of the frames, two CSV files."),
+    ] = None
+    radius: Annotated[
+        float | None,
+        Option(min=0.0, metavar="M", help="Distance within which places are the same."),
+    ] = None
+
+    @property
+    def files(self) -> list[Path]:
+        """The files that are read."""
+        return [Path(self.truth)] if self.truth else [*(self.poses or ())]
+
+    def read(
+        self, known: TraverseSource, asked: TraverseSource, tolerance: int
+    ) -> IntervalTruth | None:
+        """Return the right matches of two traverses, which are one for loops; None if not given."""
+        self._check(loops=known is asked)
+        within = f"within {self.radius or 0.0:g} m"
+        if self.poses is not None:
+            here = truth_file.read_positions(self.poses[0], len(known.frames))
+            there = truth_file.read_positions(self.poses[1], len(asked.frames))
+            named = f"--poses, {within}"
+            return truth_file.truth_by_positions(here, there, self.radius or 0.0, named)
+        match self.truth:
+            case None:
+                return None
+            case "gps":
+                here, there = truth_file.gps_positions(known, asked)
+                named = f"--truth gps, {within}"
+                return truth_file.truth_by_positions(here, there, self.radius or 0.0, named)
+            case "names":
+                return truth_file.truth_by_names(known.frames, asked.frames, tolerance)
+            case path:
+                return truth_file.read_truth(Path(path), len(asked.frames), len(known.frames))
+
+    def _check(self, *, loops: bool) -> None:
+        by_radius = self.truth == "gps" or self.poses is not None
+        if by_radius and self.radius is None:
+            raise UsageError("--radius: is missing")
+        if self.radius is not None and not by_radius:
+            raise UsageError("--radius: belongs to --truth gps and to --poses")
+        if self.truth is not None and self.poses is not None:
+            raise UsageError("--poses: --truth gives the right matches already; give one of them")
+        if loops and (by_radius or self.truth == "names"):
+            raise UsageError(
+                "--loops: every frame is near itself and has its own name; --truth takes a file"
+            )
+
+
+@dataclass(frozen=True)
+class MatchFiles:
+    """Where results are written."""
+
+    json_file: options.JsonFile = None
+    loops: Annotated[
+        Path | None, Option(metavar="FILE", help="Matches of REFERENCES with itself, edges of g2o.")
+    ] = None
+    page: Annotated[
+        Path | None, Option(metavar="FILE", help="Page to judge matches on; see above.")
+    ] = None
+    plot: Annotated[
+        Path | None, Option(metavar="FILE", help="Drawing of the matches, PNG, SVG or PDF.")
+    ] = None
+
+    @property
+    def given(self) -> dict[str, Path]:
+        """The files by their options."""
+        names = {"json_file": "--json"}
+        found = {
+            names.get(one.name, f"--{one.name}"): getattr(self, one.name) for one in fields(self)
+        }
+        return {option: path for option, path in found.items() if path is not None}
+
+    def check(self, read: list[Path], folders: list[Path]) -> None:
+        """Check that each can be written, apart from each other and from all that is read."""
+        options_of: dict[Path, str] = {}
+        for option, path in self.given.items():
+            outputs.check_file(path, option, read, folders)
+            other = options_of.setdefault(path.resolve(), option)
+            if other != option:
+                raise UsageError(f"{option} {path}: is also the file of {other}; give another name")
+        if self.plot is not None and self.plot.suffix.lower() not in _PLOT_FORMATS:
+            raise UsageError(
+                f"--plot {self.plot}: the name of a picture ends in {', '.join(_PLOT_FORMATS)}"
+            )
+
+
+class _Sources(NamedTuple):
+    """The two traverses, for loops the same, and their depth images."""
+
+    known: TraverseSource
+    asked: TraverseSource
+    depths: list[TraverseSource | None]
+
+    @classmethod
+    def open(
+        cls, reference: Path, query: Path | None, depth: Depth, features: FeatureSettings
+    ) -> "_Sources":
+        known = open_source(reference, "REFERENCES")
+        asked = known if query is None else open_source(query, "QUERIES")
+        query_depth = depth.reference_depth if query is None else depth.query_depth
+        named = (
+            ("--reference-depth", depth.reference_depth, known),
+            ("--query-depth", query_depth, asked),
+        )
+        return cls(known, asked, [_depth_folder(features, *one) for one in named])
+
+    def describe(self, settings: MatchSettings, engine: Engine) -> tuple[Traverse, Traverse]:
+        """Compute the features of both; JobError when one is shorter than a window."""
+        titles = ("reading references", "reading queries")
+        sources = (self.known,) if settings.loops else (self.known, self.asked)
+        found = [
+            describe_frames(source, settings.features, depth, title, engine)
+            for source, depth, title in zip(sources, self.depths, titles, strict=False)
+        ]
+        for one in found:
+            one.say_skipped()
+            if one.numbers.size < settings.length:
+                few = f"{counted(one.numbers.size, 'image')}, too few for a window of {settings.length}"
+                raise JobError(f"{one.source.path}: {few}; choose a shorter --length")
+        return found[0], found[-1]
 
 
 def match(
-    reference: Annotated[
-        Path, Argument(metavar="REFERENCES", help="The traverse that is known; see above.")
-    ],
+    *,
+    reference: Annotated[Path, Argument(metavar="REFERENCES", help="Known traverse; see above.")],
     query: Annotated[
-        Path | None, Argument(metavar="QUERIES", help="The traverse to be recognized.")
+        Path | None, Argument(metavar="QUERIES", help="Traverse to be recognized.")
     ] = None,
-    name: Annotated[
-        str, Option("--method", help=f"How places are recognized. {_METHODS}.")
-    ] = "smal",
-    length: Annotated[
-        int | None, Option(min=1, help="Frames of a window, l. [default: the method's]")
-    ] = None,
-    modalities: options.Modalities = None,
-    tolerance: Annotated[
-        int | None, Option(min=0, max=10**6, help="Frames off that are right as well.")
-    ] = None,
-    online: Annotated[
-        int | None, Option(min=0, metavar="LAG", help="Answer each query so many frames later.")
-    ] = None,
-    tau: Annotated[
-        float | None, Option(min=-1e6, max=1e6, help="Leave out scores of at most this.")
-    ] = None,
-    precision: Annotated[
-        float | None, Option(min=0.0, max=1.0, help="Keep as many as are right so often.")
-    ] = None,
-    reference_depth: Annotated[
-        Path | None, Option(metavar="DIR", help="For the modality depth; see above.")
-    ] = None,
-    query_depth: Annotated[Path | None, Option(metavar="DIR", help="The same for QUERIES.")] = None,
-    truth: Annotated[
-        str | None, Option(metavar="CSV|names|gps", help="What is right; see above.")
-    ] = None,
-    poses: Annotated[
-        tuple[Path, Path] | None, Option(metavar="REFERENCES QUERIES", help="Two CSV files.")
-    ] = None,
-    radius: Annotated[
-        float | None, Option(min=0.0, metavar="M", help="Nearer frames show the same place.")
-    ] = None,
-    loops: Annotated[
-        Path | None, Option(metavar="FILE", help="Match REFERENCES with itself, as edges of g2o.")
-    ] = None,
+    way: MatchMethod,
+    depth: Depth,
+    truth: Truth,
     at_work: options.AtWork = options.HERE,
-    json_file: options.JsonFile = None,
-    plot: Annotated[
-        Path | None, Option(metavar="FILE", help="Draw the matches, as PNG, SVG or PDF.")
-    ] = None,
-    page: Annotated[
-        Path | None, Option(metavar="FILE", help="A page to judge matches on; see above.")
-    ] = None,
+    files: MatchFiles,
 ) -> None:
     """Find for every image of one traverse the image of another that was taken at the same place.
 
@@ -132,157 +293,54 @@ def match(
     smal match summer.mp4 winter.mp4 --page judge.html; smal match summer winter --truth gps --radius 5;
     smal match summer winter --poses summer.csv winter.csv --radius 5; smal match drive --loops loops.g2o
     """
-    probable = {
-        "--tolerance": tolerance,
-        "--online": online,
-        "--precision": precision,
-        "--loops": loops,
-    }
-    method = _method_of(name, length, modalities, probable)
-    settings = MatchSettings(
-        modalities or method.features, length or method.length, tolerance, online
-    )
-    settings = replace(settings, loops=loops is not None)
-    precision = _LOOP_PRECISION if loops is not None and precision is None else precision
-    if (query is None) != settings.loops:
+    method = way.chosen()
+    loops = files.loops is not None
+    if loops:
+        way.require_probable(method, f"--loops {files.loops}")
+        way = replace(way, precision=_LOOP_PRECISION if way.precision is None else way.precision)
+    if (query is None) != loops:
         missing = "QUERIES: missing; --loops FILE does without"
         raise UsageError(missing if query is None else "--loops: takes no QUERIES")
-    read = [one for one in (reference, query, reference_depth, query_depth) if one is not None]
-    told = [Path(truth)] if truth else [*(poses or ())]
-    files = {"--json": json_file, "--loops": loops, "--page": page, "--plot": plot}
-    _check_outputs(files, [*told, *read], read)
-    known = open_source(reference, "REFERENCES")
-    asked = known if query is None else open_source(query, "QUERIES")
-    query_depth = reference_depth if settings.loops else query_depth
-    named = (("--reference-depth", reference_depth, known), ("--query-depth", query_depth, asked))
-    depths = [_depth_folder(settings.features, *one) for one in named]
-    expected = _truth(truth, poses, radius, tolerance or 0, known, asked)
-    if expected is not None and method.probable and tolerance is None:
+    given = (reference, query, depth.reference_depth, depth.query_depth)
+    read = [path for path in given if path is not None]
+    files.check([*truth.files, *read], read)
+    features = way.modalities or method.features
+    settings = MatchSettings(
+        features, way.length or method.length, way.tolerance, way.online, loops
+    )
+    sources = _Sources.open(reference, query, depth, features)
+    expected = truth.read(sources.known, sources.asked, way.tolerance or 0)
+    if expected is not None and method.probable and way.tolerance is None:
         settings = replace(settings, tolerance=expected.tolerance)
     began_s = time.perf_counter()
     with at_work.engine() as engine:
-        references = queries = describe_frames(
-            known, settings.features, depths[0], "reading references", engine
-        )
-        if query is not None:
-            queries = describe_frames(
-                asked, settings.features, depths[1], "reading queries", engine
-            )
+        references, queries = sources.describe(settings, engine)
         read_s = time.perf_counter()
-        for one in (references, queries)[: 1 if settings.loops else 2]:
-            one.say_skipped()
-            if one.numbers.size < settings.length:
-                few = f"{counted(one.numbers.size, 'image')}, too few for a window of {settings.length}"
-                raise JobError(f"{one.source.path}: {few}; choose a shorter --length")
         matched = _match(method, references, queries, replace(settings, parallel=engine.map))
-    found = in_sources(matched, references, queries)
-    matches = found if tau is None else found.above(tau)
-    matches = matches if precision is None else matches.surest(precision)
     seconds = {"reading": read_s - began_s, "matching": time.perf_counter() - read_s}
-    quality = (
-        MatchQuality.of(matches, expected, settings.length, probable=method.probable)
-        if expected
-        else None
-    )
-    unsure = int(found.matched.sum() - matches.matched.sum())
-    chosen: dict[str, object] = {
-        "method": name,
-        "length": settings.length if method.any_length else None,
-    }
-    chosen |= {
-        "tolerance": settings.tolerance,
-        "online": online,
-        "tau": tau,
-        "precision": precision,
-    }
+    found = in_sources(matched, references, queries)
+    matches = way.select(found)
     result = Result(
-        chosen, settings, references, queries, matches, unsure, quality, seconds, method.probable
+        chosen={
+            "method": way.method,
+            "length": settings.length if method.any_length else None,
+            "tolerance": settings.tolerance,
+            "online": way.online,
+            "tau": way.tau,
+            "precision": way.precision,
+        },
+        settings=settings,
+        references=references,
+        queries=queries,
+        matches=matches,
+        unsure=int(found.matched.sum() - matches.matched.sum()),
+        quality=None
+        if expected is None
+        else MatchQuality.of(matches, expected, settings.length, probable=method.probable),
+        seconds=seconds,
+        probable=method.probable,
     )
-    written: list[Path] = []
-    try:
-        for option, path in files.items():
-            if path is not None:
-                _write(option, path, result, expected)
-                written.append(path)
-    finally:
-        # Also where a file cannot be written: the figures have cost their time.
-        for line in as_text(result, written):
-            typer.echo(line)
-
-
-def _truth(
-    truth: str | None,
-    poses: tuple[Path, Path] | None,
-    radius: float | None,
-    tolerance: int,
-    known: TraverseSource,
-    asked: TraverseSource,
-) -> IntervalTruth | None:
-    if (by_radius := truth == "gps" or poses is not None) != (radius is not None):
-        raise UsageError(
-            "--radius: is missing"
-            if by_radius
-            else "--radius: belongs to --truth gps and to --poses"
-        )
-    if truth is not None and poses is not None:
-        raise UsageError("--poses: --truth says already what is right; give one of them")
-    if known is asked and (by_radius or truth == "names"):
-        raise UsageError("--loops: every frame is near itself and named so; --truth takes a file")
-    if radius is not None and poses is not None:
-        here = truth_file.read_positions(poses[0], len(known.frames))
-        there = truth_file.read_positions(poses[1], len(asked.frames))
-        return truth_file.truth_by_positions(here, there, radius, f"--poses, within {radius:g} m")
-    if radius is not None:
-        return truth_file.truth_by_positions(
-            *truth_file.gps_positions(known, asked), radius, f"--truth gps, within {radius:g} m"
-        )
-    if truth == "names":
-        return truth_file.truth_by_names(known.frames, asked.frames, tolerance)
-    return (
-        None
-        if truth is None
-        else truth_file.read_truth(Path(truth), len(asked.frames), len(known.frames))
-    )
-
-
-def _method_of(
-    name: str,
-    length: int | None,
-    modalities: FeatureSettings | None,
-    probable: dict[str, float | Path | None],
-) -> Method:
-    """Take a method of the table; options that only those with probabilities know are given by their names."""
-    if name not in METHODS:
-        raise UsageError(f"--method {name}: unknown; known are {', '.join(METHODS)}")
-    method = METHODS[name]
-    if not method.any_features and modalities:
-        own = ", ".join(method.features.modalities)
-        raise UsageError(
-            f"--modalities {modalities.text}: the method {name} has its own features, {own}"
-        )
-    if length not in (None, method.length) and not method.any_length:
-        raise UsageError(f"--length {length}: the method {name} has no windows")
-    for option, value in probable.items():
-        if value is not None and not method.probable:
-            raise UsageError(
-                f"{option} {value}: the scores of the method {name} are no probabilities"
-            )
-    return method
-
-
-def _check_outputs(files: dict[str, Path | None], read: list[Path], folders: list[Path]) -> None:
-    given = {option: path for option, path in files.items() if path is not None}
-    for option, path in given.items():
-        outputs.check_file(path, option, read, folders)
-        same = [
-            other
-            for other, one in given.items()
-            if other < option and one.resolve() == path.resolve()
-        ]
-        if same:
-            raise UsageError(f"{option} {path}: is also the file of {same[0]}; give another name")
-    if (plot := files["--plot"]) is not None and plot.suffix.lower() not in _PLOT_FORMATS:
-        raise UsageError(f"--plot {plot}: the name of a picture ends in {', '.join(_PLOT_FORMATS)}")
+    _write(files, result, expected)
 
 
 def _depth_folder(
@@ -318,15 +376,24 @@ def _match(
             ) from None
 
 
-def _write(option: str, path: Path, result: Result, truth: IntervalTruth | None) -> None:
-    texts = {"--json": as_json, "--loops": as_g2o, "--page": judging_page}
-    if option != "--plot":
-        with outputs.writing(path, option) as file:
-            file.write(texts[option](result).encode())
-        return
+def _write(files: MatchFiles, result: Result, truth: IntervalTruth | None) -> None:
+    written: list[Path] = []
+    try:
+        for option, path in files.given.items():
+            with outputs.writing(path, option) as file:
+                if option == "--plot":
+                    kind = path.suffix[1:].lower()
+                    _drawn(result, truth).savefig(file, dpi=150, format=kind)
+                else:
+                    file.write(_TEXTS[option](result).encode())
+            written.append(path)
+    finally:
+        # Also when a file cannot be written: the figures have cost their time.
+        typer.echo("\n".join(as_text(result, written)))
+
+
+def _drawn(result: Result, truth: IntervalTruth | None) -> "Figure":
     from services.experiments.matching.pictures import draw_matches  # noqa: PLC0415 - matplotlib takes a second to import
 
     count = len(result.references.source.frames)
-    figure = draw_matches(result.matches, count, truth, result.quality, title_of(result))
-    with outputs.writing(path, option) as file:
-        figure.savefig(file, dpi=150, format=path.suffix[1:].lower())
+    return draw_matches(result.matches, count, truth, result.quality, title_of(result))

@@ -1,7 +1,7 @@
 """Options that several commands share: declared once, and checked where they are read."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Final, Self, TypeVar
 
@@ -131,7 +131,7 @@ Modalities = Annotated[
         parser=checked(FeatureSettings.parse),
         metavar="NAMES",
         help=f"Feature modalities, separated by commas, out of {', '.join(MODALITY_NAMES)}. "
-        "[default: those of the model, the recordings or the method; else color,hog]",
+        "[default: those of the model or the method; else color,hog]",
     ),
 ]
 
@@ -198,7 +198,16 @@ class Changes:
     people: Annotated[
         int, Option(min=0, max=50, help="People who walk about the way, to and fro.")
     ] = 0
-    blocked: Annotated[bool, Option("--blocked", help="Close the way.")] = False
+    blocked: Annotated[bool, Option("--blocked", help="Closed way.")] = False
+
+    @property
+    def other_than_taught(self) -> dict[str, Any]:
+        """The changes that were asked for, by name."""
+        return {
+            one.name: value
+            for one in fields(self)
+            if (value := getattr(self, one.name)) != one.default
+        }
 
 
 @dataclass(frozen=True)
@@ -218,7 +227,7 @@ class RunOptions:
             return None
         return ServiceSettings(robot=self.robot, router=self.connect, secure=self.secure)
 
-    def refuse(self, simulator: Simulator, modalities: FeatureSettings | None) -> None:
+    def refuse(self, simulator: Simulator, modalities: FeatureSettings | None = None) -> None:
         """Refuse with `connect` what the running stack has already; raises UsageError when there is something of it."""
         for name, value in (asdict(simulator) | {"modalities": modalities}).items():
             if value is not None and self.connect is not None:
@@ -303,6 +312,11 @@ def feature_flags(
 ) -> tuple[str, ...]:
     """Return the flags of a features service; UsageError: the model was learned on others, or on a file not given."""
     features = modalities or model or FeatureSettings()
+    if "depth" in features.needs:
+        raise UsageError(
+            f"--modalities {','.join(features.modalities)}: recordings hold no depth images, so no "
+            "model is learned on them; omit depth"
+        )
     if model is not None and model.fingerprint != features.fingerprint:
         learned_on = ",".join(model.modalities)
         raise UsageError(

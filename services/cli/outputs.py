@@ -30,22 +30,25 @@ def check_file(
     """Check before the work that a file of results can be written, apart from all that is read; else UsageError."""
     if path is None:
         return
+    fault = _unwritable(path)
+    if fault is None and path.exists() and any(map(path.samefile, filter(os.path.exists, read))):
+        fault = "is a file that this command reads; give another name"
+    if fault is None and path.resolve().parent in [folder.resolve() for folder in folders]:
+        fault = "would lie among the files that this command reads; choose another folder"
+    if fault is not None:
+        raise UsageError(f"{option} {path}: {fault}")
+
+
+def _unwritable(path: Path) -> str | None:
     if path.is_dir():
-        raise UsageError(f"{option} {path}: is a folder; give the name of a file")
+        return "is a folder; give the name of a file"
     if path.exists() and not path.is_file():
-        raise UsageError(
-            f"{option} {path}: is no regular file, and would be replaced by one; give another name"
-        )
+        return "is no regular file, and would be replaced by one; give another name"
     if not path.parent.is_dir():
-        raise UsageError(f"{option} {path}: no folder {path.parent}")
+        return f"no folder {path.parent}"
     if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise UsageError(f"{option} {path}: cannot be written")
-    if path.exists() and any(path.samefile(one) for one in read if Path(one).exists()):
-        raise UsageError(f"{option} {path}: is a file that this command reads; give another name")
-    if any(path.resolve().parent == folder.resolve() for folder in folders):
-        raise UsageError(
-            f"{option} {path}: would lie among the files that this command reads; choose another folder"
-        )
+        return "cannot be written"
+    return None
 
 
 @contextmanager

@@ -197,5 +197,3 @@ def _said(episode: EpisodeContents) -> Iterator[tuple[str, str]]:
             else f", {episode.field_of_view_deg:.0f} degrees across"
         )
         yield "camera", f"{episode.width}x{episode.height}{view}"
-    if episode.modalities:
-        yield "features", " ".join(episode.modalities)

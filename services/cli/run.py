@@ -1,10 +1,11 @@
 """``smal run``: the robot searches by itself with a learned model."""
 
 from collections import Counter
+from collections.abc import Iterator, Mapping
 from contextlib import closing, nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
@@ -15,11 +16,11 @@ from schemas.rpc import LoadReply, LoadRequest, Nothing, ResetRequest, Start, St
 from services.cli import options, outputs
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
 from services.cli.episodes.files import name_for, recording
-from services.cli.stack import flags, stack_for
+from services.cli.stack import Access, flags, stack_for
 from services.experiments.words import counted
 from services.kit.bus import Bus
 from services.kit.errors import JobError
-from services.kit.model_service import identity_of, most_ticks
+from services.kit.model_service import AnyModel, identity_of, most_ticks
 from services.table import CHAIN
 from smal.evaluation.precision_recall import wilson_interval
 from smal.features import FeatureSettings
@@ -28,31 +29,71 @@ from smal.model import Model
 FRAMES_APART = 20  # Camera images kept of every run for the report, one in so many frames.
 
 
+@dataclass(frozen=True)
+class Runs:
+    """How many runs there are, and how they begin and end."""
+
+    episodes: Annotated[int, Option(min=1, help="Number of runs.")] = 20
+    seed: options.Seed = 1
+    start: Annotated[
+        Start, Option(help="Place of the start: about the world's, or anywhere beside the way.")
+    ] = "start"
+    kidnap: Annotated[
+        int | None, Option(min=1, metavar="TICK", help="Frame at which the robot is carried away.")
+    ] = None
+    realtime: Annotated[
+        bool, Option(help="Running clock, instead of waiting for every command.")
+    ] = False
+    max_ticks: Annotated[int | None, Option(min=1, help="Frames after which a run times out.")] = (
+        None
+    )
+
+    def requests(
+        self, model: AnyModel, goal: str | None, changes: options.Changes
+    ) -> list[ResetRequest]:
+        """Return the request of each run."""
+        mapped = model.mapped if isinstance(model, Model) else None
+        first = ResetRequest(
+            seed=self.seed,
+            purpose="run",
+            driver="policy",
+            mode="realtime" if self.realtime else "lockstep",
+            max_ticks=self.max_ticks or most_ticks(model.longest),
+            start=self.start,
+            kidnap_tick=self.kidnap,
+            until_said=mapped is not None,  # The paper's scheme announces no end.
+            goal=goal or ("victim" if mapped is None else mapped.goals[0]),
+            **asdict(changes),
+        )
+        return [first.model_copy(update={"seed": self.seed + k}) for k in range(self.episodes)]
+
+
+@dataclass(frozen=True)
+class RunFiles:
+    """Where results are written."""
+
+    json_file: options.JsonFile = None
+    report: Annotated[Path | None, Option(help="Folder for a page of results, with pictures.")] = (
+        None
+    )
+    record: Annotated[Path | None, Option(help="Folder for recordings of the runs.")] = None
+
+    def check(self, read: tuple[str | Path, ...]) -> None:
+        """Make the folders, and check that the file can be written apart from all that is read."""
+        outputs.check_file(self.json_file, "--json", read)
+        for folder, option in ((self.report, "--report"), (self.record, "--record")):
+            if folder is not None:
+                outputs.make_folder(folder, option)
+
+
 def run(
     *,
     model: Annotated[Path, Option(help="Model file, made by `smal learn`.")],
     world: options.World = None,
-    episodes: Annotated[int, Option(min=1, help="Runs.")] = 20,
-    seed: options.Seed = 1,
+    runs: Runs,
     use: options.Use,
-    start: Annotated[
-        Start, Option(help="Begin about the world's start, or anywhere beside the way.")
-    ] = "start",
-    kidnap: Annotated[
-        int | None, Option(min=1, metavar="TICK", help="Carry the robot away at this frame.")
-    ] = None,
     changes: options.Changes,
-    realtime: Annotated[
-        bool, Option(help="Let the clock run, instead of waiting for every command.")
-    ] = False,
-    max_ticks: Annotated[
-        int | None, Option(min=1, help="Frames after which a run times out.")
-    ] = None,
-    json_file: options.JsonFile = None,
-    report: Annotated[
-        Path | None, Option(help="Write a page of results, with pictures, to this folder.")
-    ] = None,
-    record: Annotated[Path | None, Option(help="Record the runs into this folder.")] = None,
+    files: RunFiles,
     simulator: options.Simulator,
     modalities: options.Modalities = None,
     stack: options.RunOptions,
@@ -72,74 +113,88 @@ def run(
     chosen, name = stack.world(world)
     asked = None if name is None else chosen
     stack.refuse(simulator, modalities)
-    outputs.check_file(json_file, "--json", (chosen, model))
-    for folder, option in ((report, "--report"), (record, "--record")):
-        if folder is not None:
-            outputs.make_folder(folder, option)
-    services = ("router", "robot", "features", *CHAIN, *(["recorder"] if record else []))
+    files.check((chosen, model))
+    services = ("router", "robot", "features", *CHAIN, *(["recorder"] if files.record else []))
     own = dict.fromkeys(CHAIN, flags(root=model.resolve().parent)) | {
         "robot": simulator.flags(chosen),
-        "recorder": flags(root=record and record.resolve()),
+        "recorder": flags(root=files.record and files.record.resolve()),
     }
     if stack.connect is None:
         own["features"] = options.feature_flags(modalities, loaded.feature_settings)
-    requests = [
-        ResetRequest(
-            seed=seed + k,
-            purpose="run",
-            driver="policy",
-            mode="realtime" if realtime else "lockstep",
-            max_ticks=max_ticks or most_ticks(loaded.longest),
-            start=start,
-            kidnap_tick=kidnap,
-            until_said=isinstance(loaded, Model),  # The paper's scheme says nothing.
-            goal=use.goal or (loaded.mapped.goals[0] if isinstance(loaded, Model) else "victim"),
-            **asdict(changes),
-        )
-        for k in range(episodes)
-    ]
-    identity = identity_of(loaded)
+    requests = runs.requests(loaded, use.goal, changes)
     records: list[EpisodeRecord] = []
     try:
-        with (
-            stack_for(stack.settings, services, stack.robot, own) as access,
-            closing(EpisodeClient("run", access.settings)) as client,
-        ):
-            bus = client.node.bus
-            client.watch_poses()
-            client.watch_frames(FRAMES_APART)
-            bus.wait_connected(5.0)
-            _load(bus, model, use)
-            _check_models(bus, identity, use.goal)
-            with recording(bus, record, "--record") if record else nullcontext():
-                _check_features(bus, loaded.feature_settings)
-                for one in client.run_all(requests, access, "running", world=name):
-                    if one.outcome == "aborted":  # It says nothing of the model.
-                        seed = one.request.seed
-                        where = f" ({access.logs})" if access.logs else ""
-                        logs = f"see the logs of recognition and policy{where}"
-                        raise JobError(f"run with seed {seed}: no command came; {logs}")
-                    _check_models(bus, identity, use.goal)
-                    records.append(one)
+        with stack_for(stack.settings, services, stack.robot, own) as access:
+            searcher = _Searcher(model, loaded, use)
+            records.extend(_run_all(requests, access, searcher, files, name))
     finally:
-        # Also when a later run fails, or is interrupted: the finished ones have cost their time.
-        if json_file is not None and records:
-            outputs.write_json(json_file, "--json", summarize(asked, records))
+        # Also when a later run fails, or is interrupted: the finished runs have cost their time.
+        if files.json_file is not None and records:
+            outputs.write_json(files.json_file, "--json", summarize(asked, records))
     summary = summarize(asked, records)
-    if report is not None:
+    if files.report is not None:
         from services.cli.episodes.report import write_report  # noqa: PLC0415 - matplotlib takes a second to import
 
-        typer.echo(f"results: {write_report(report, asked, loaded, records, summary)}")
-    found = round(summary["success_rate"] * len(records))
-    (low, high) = summary["wilson_95"]
-    typer.echo(
-        f"found the victim in {found} of {counted(len(records), 'run')} (95 % interval {low:.2f} to {high:.2f})"
+        typer.echo(f"results: {write_report(files.report, asked, loaded, records, summary)}")
+    typer.echo("\n".join(_lines(summary, records)))
+
+
+class _Searcher(NamedTuple):
+    """A model, and how it is used."""
+
+    path: Path
+    model: AnyModel
+    use: options.Use
+
+    def load(self, bus: Bus) -> None:
+        """Have the services load the model."""
+        for service in CHAIN:
+            name = name_for(bus, service, self.path, "--model")
+            request = LoadRequest(model=name, stride=self.use.stride, goal=self.use.goal)
+            bus.call(service, "load", request, LoadReply, timeout_s=60.0)
+        self.check(bus)
+
+    def check(self, bus: Bus) -> None:
+        """Raise JobError when a service has another model: when started again, it has that of its stack."""
+        _check_models(bus, identity_of(self.model), self.use.goal)
+
+
+def _run_all(
+    requests: list[ResetRequest],
+    access: Access,
+    searcher: _Searcher,
+    files: RunFiles,
+    world: str | None,
+) -> Iterator[EpisodeRecord]:
+    with closing(EpisodeClient("run", access.settings)) as client:
+        bus = client.node.bus
+        client.watch_poses()
+        client.watch_frames(FRAMES_APART)
+        bus.wait_connected(5.0)
+        searcher.load(bus)
+        with recording(bus, files.record, "--record") if files.record else nullcontext():
+            _check_features(bus, searcher.model.feature_settings)
+            for one in client.run_all(requests, access, "running", world=world):
+                if one.outcome == "aborted":  # Without a command it is no result of the model.
+                    where = f" ({access.logs})" if access.logs else ""
+                    raise JobError(
+                        f"run with seed {one.request.seed}: no command came; see the logs of "
+                        f"recognition and policy{where}"
+                    )
+                searcher.check(bus)
+                yield one
+
+
+def _lines(summary: Mapping[str, Any], records: list[EpisodeRecord]) -> Iterator[str]:
+    missed = [one for one in records if one.outcome != "found"]
+    low, high = summary["wilson_95"]
+    yield (
+        f"found the victim in {len(records) - len(missed)} of {counted(len(records), 'run')} "
+        f"(95 % interval {low:.2f} to {high:.2f})"
     )
-    others = Counter(
-        in_words(record.outcome, record.right) for record in records if record.outcome != "found"
-    )
-    if others:
-        typer.echo("; ".join(f"{outcome}: {count}" for outcome, count in others.most_common()))
+    if missed:
+        outcomes = Counter(in_words(one.outcome, one.right) for one in missed)
+        yield "; ".join(f"{outcome}: {count}" for outcome, count in outcomes.most_common())
 
 
 def summarize(world: str | None, records: list[EpisodeRecord]) -> dict[str, Any]:
@@ -169,14 +224,6 @@ def summarize(world: str | None, records: list[EpisodeRecord]) -> dict[str, Any]
         "wilson_95": list(wilson_interval(found, len(records))),
         "decision_latency_ms": {"p50": p50, "p95": p95},
     }
-
-
-def _load(bus: Bus, model: Path, use: options.Use) -> None:
-    for service in CHAIN:
-        request = LoadRequest(
-            model=name_for(bus, service, model, "--model"), stride=use.stride, goal=use.goal
-        )
-        bus.call(service, "load", request, LoadReply, timeout_s=60.0)
 
 
 def _check_features(bus: Bus, wanted: FeatureSettings) -> None:

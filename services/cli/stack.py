@@ -30,8 +30,12 @@ PATIENCE_S: Final = (
     600.0  # A slow machine takes minutes to build a large world; whoever waits may end it.
 )
 _TELL_S: Final = 10.0
+#: Services of which one instance serves several robots.
+GROUPED: Final = tuple(service.name for service in SERVICES.values() if service.grouped)
 #: What a process is told of its certificate: each service of a stack has another one.
 _KEYS: Final = ("SMAL_SECURE", "SMAL_TLS_CA", "SMAL_TLS_CERT", "SMAL_TLS_KEY")
+#: By service, the robots that each instance serves.
+Instances = dict[str, dict[str, list[str]]]
 _log = logging.getLogger("stack")
 
 
@@ -305,14 +309,14 @@ def answers(bus: Bus, service: str) -> Status | None:
         return None
 
 
-def instances(bus: Bus) -> dict[str, dict[str, list[str]]]:
+def instances(bus: Bus) -> Instances:
     """Return of each grouped service that answers which instance serves which robots of the fleet."""
     router = answers(bus, "router")
     robots = fleet(bus.robot, int(router.detail.get("robots") or 1)) if router is not None else ()
-    found: dict[str, dict[str, list[str]]] = {}
+    found: Instances = {}
     for robot in robots:
         with closing(bus.of_robot(robot)) as one:
-            for service in (service.name for service in SERVICES.values() if service.grouped):
+            for service in GROUPED:
                 if (told := answers(one, service)) is not None:
                     found.setdefault(service, {}).setdefault(
                         str(told.detail.get("instance")), []

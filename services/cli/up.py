@@ -4,74 +4,162 @@ import logging
 import re
 import time
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final
 
 from typer import Option
 
 from services.cli import certificates, options, outputs
 from services.cli.options import CameraOptions
-from services.cli.stack import Stack, StackPlan, flags
+from services.cli.stack import GROUPED, Stack, StackPlan, flags
 from services.console.config import ConsoleSettings, listen
 from services.kit.bus import Router, addresses, host_and_port
 from services.kit.credentials import encrypted, how_secure
 from services.kit.errors import UsageError
 from services.kit.process import configure_logging
 from services.kit.settings import fleet
-from services.table import SERVICES, role_of, stack_services
+from services.table import role_of, stack_services
 from smal.features import FeatureSettings
 
-WATCH_S: Final = 0.5  # How often dead services are looked for, seconds.
+WATCH_S: Final = 0.5  # Period of the search for dead services, seconds.
 CAMERA: Final = CameraOptions(640, 480)
 LAST_PORT: Final = 65535
-GROUPED: Final = tuple(service.name for service in SERVICES.values() if service.grouped)
-MOST_FURTHER: Final = 8  # A quarter of the sessions that are for a stack, at the router.
-RobotBody = Literal["simulator", "ros2", "none"]
+MOST_FURTHER: Final = 8  # A quarter of the router's sessions that are for a stack.
+_NONE: Final = "none"
+_SIMULATOR: Final = "simulator"
 
 
-def up(
-    *,
-    world: options.World = None,
+@dataclass(frozen=True)
+class ModelUse(options.Use):
+    """The model of recognition and policy."""
+
     model: Annotated[
         Path | None, Option(help="Model that recognition and policy load at the start.")
-    ] = None,
-    use: options.Use,
+    ] = None
+
+    def flags(self) -> tuple[tuple[str, ...], FeatureSettings | None]:
+        """Return the flags of recognition and policy, and the features of the model."""
+        used = asdict(self)
+        if self.model is not None:
+            model = options.read_model(self.model, self)
+            return flags(**used | {"model": self.model.resolve()}), model.feature_settings
+        for name, value in used.items():
+            if value is not None:
+                raise UsageError(f"--{name} {value}: needs --model")
+        return (), None
+
+
+@dataclass(frozen=True)
+class StackFiles:
+    """Where clients and recorders read and write."""
+
     root: Annotated[
         Path,
         Option(
             envvar="SMAL_ROOT",
             exists=True,
             file_okay=False,
-            help="Where clients may read and write files.",
+            help="Folder in which clients may read and write files.",
         ),
-    ] = Path(),
-    recordings: Annotated[
-        Path | None, Option(help="Record every episode into this folder.")
-    ] = None,
-    simulator: options.Simulator,
-    modalities: options.Modalities = None,
+    ] = Path()
+    recordings: Annotated[Path | None, Option(help="Folder for a recording of every episode.")] = (
+        None
+    )
+
+    def recordings_of(self, robots: tuple[str, ...]) -> dict[str, Path | None]:
+        """Make the folder of each robot, the first robot's above the others'."""
+        folder = self.recordings
+        if folder is None:
+            return dict.fromkeys(robots)
+        folders = {robot: folder if k == 0 else folder / robot for k, robot in enumerate(robots)}
+        for one in folders.values():
+            outputs.make_folder(one, "--recordings")
+        return {**folders}
+
+
+@dataclass(frozen=True)
+class Ports:
+    """Where pages and metrics are."""
+
     metrics_port: Annotated[
         int | None, Option(min=1, max=LAST_PORT, help="First of the ports for health and metrics.")
-    ] = None,
+    ] = None
     console: Annotated[
-        str, Option(envvar="SMAL_CONSOLE", help="Where the page is, HOST:PORT.")
-    ] = "127.0.0.1:8080",
-    no_console: Annotated[bool, Option("--no-console", help="Without that page.")] = False,
-    robot_body: Annotated[
-        RobotBody, Option(help="What the robot drives; none is for smal replay.")
-    ] = "simulator",
-    ros2_config: Annotated[
-        Path | None, Option(help="Which ROS 2 base; the file may begin with a preset.")
-    ] = None,
-    reach: options.Reach,
-    robots: options.Robots = 1,
+        str, Option(envvar="SMAL_CONSOLE", help="Address of the web page, HOST:PORT, or none.")
+    ] = "127.0.0.1:8080"
+
+    def pages(self, robots: tuple[str, ...], root: Path) -> dict[str, str]:
+        """Return the address of each robot's page, at ports that follow; check that each is free."""
+        if self.console == _NONE:
+            return {}
+        host, _, port = self.console.rpartition(":")
+        following = len(robots) if port.isdecimal() else 1
+        others = [f"{host}:{int(port) + k}" for k in range(1, following)]
+        found = dict(zip(robots, [self.console, *others], strict=True))
+        for page in found.values():
+            listen(ConsoleSettings(console=page, root=root)).socket.close()
+        return found
+
+    def metrics(self, processes: list[str]) -> dict[str, int]:
+        """Return the port of each process for health and metrics, on this machine only."""
+        if self.metrics_port is None:
+            return {}
+        if self.metrics_port + len(processes) - 1 > LAST_PORT:
+            raise UsageError(
+                f"--metrics-port {self.metrics_port}: {len(processes)} processes need as many ports"
+            )
+        return {name: self.metrics_port + k for k, name in enumerate(processes)}
+
+
+@dataclass(frozen=True)
+class StackSize:
+    """How many robots and instances there are."""
+
+    robots: options.Robots = 1
     scale: Annotated[
         list[str] | None,
         Option(metavar="NAME=N", help=f"Instances of one of {', '.join(GROUPED)}; 0: elsewhere."),
-    ] = None,
+    ] = None
+
+    @property
+    def instances(self) -> dict[str, int]:
+        """Instances by service; UsageError when --scale is invalid."""
+        found: dict[str, int] = {}
+        for text in self.scale or ():
+            name, _, many = text.partition("=")
+            if name not in GROUPED or not re.fullmatch(r"0|[1-9]\d?", many):
+                raise UsageError(
+                    f"--scale {text!r}: expected NAME=N, with a NAME of {', '.join(GROUPED)}"
+                )
+            found[name] = int(many)
+        if sum(found.values()) - len(found) > MOST_FURTHER:
+            raise UsageError(
+                f"--scale: the router has room for {MOST_FURTHER} further instances in all"
+            )
+        return found
+
+
+def up(
+    *,
+    world: options.World = None,
+    learned: ModelUse,
+    files: StackFiles,
+    simulator: options.Simulator,
+    modalities: options.Modalities = None,
+    ports: Ports,
+    body: Annotated[
+        str,
+        Option(
+            "--robot-body",
+            metavar=f"{_SIMULATOR}|{_NONE}|FILE",
+            help="Body of the robot: FILE configures a ROS 2 base; none is for smal replay.",
+        ),
+    ] = _SIMULATOR,
+    reach: options.Reach,
+    size: StackSize,
     insecure: Annotated[
-        bool, Option("--insecure", help="Let everybody in, from other machines too.")
+        bool, Option("--insecure", help="Access for everybody, from other machines too.")
     ] = False,
 ) -> None:
     """Start the services, from the router to the recorder, and keep them running.
@@ -93,73 +181,59 @@ def up(
     """
     world = world or options.DEFAULT_WORLD
     options.read_world(world)
-    base = _base(robot_body, ros2_config)
-    if robots > 1 and base is not None:
-        raise UsageError("--robots: a file of --ros2-config is of one base")
-    options.fleet_of(reach.robot, robots)
-    instances = _scale(scale)
-    chain, learned_on = _chain_flags(model, use)
+    base = _base(body)
+    if size.robots > 1 and base is not None:
+        raise UsageError("--robots: the file of --robot-body configures one base")
+    options.fleet_of(reach.robot, size.robots)
+    instances = size.instances
+    chain, learned_on = learned.flags()
     features = options.feature_flags(modalities, learned_on)
-    left_out = {
-        name for name, out in (("console", no_console), ("robot", robot_body == "none")) if out
-    }
-    services = tuple(name for name in stack_services() if name not in left_out)
-    who = _check_addresses(reach, services, robots, insecure=insecure)
+    left_out = {"console": ports.console == _NONE, "robot": body == _NONE}
+    services = tuple(name for name in stack_services() if not left_out.get(name))
+    access = _check_addresses(reach, services, size.robots, insecure=insecure)
     plan = StackPlan(
         services,
         reach.robot,
         reach.settings.router,
         secure=reach.secure,
         modules={} if base is None else {"robot": "services.ros2"},
-        robots=robots,
+        robots=size.robots,
         scale=instances,
     )
-    processes = plan.processes()
-    pages = dict(zip(plan.fleet, _ports_from(console, robots), strict=True))
-    for page in () if no_console else pages.values():
-        listen(ConsoleSettings(console=page, root=root)).socket.close()
-    folders = {robot: recordings and recordings / robot for robot in plan.fleet} | {
-        reach.robot: recordings
+    pages = ports.pages(plan.fleet, files.root)
+    recorded = files.recordings_of(plan.fleet)
+    metrics = ports.metrics(list(plan.processes()))
+    below = flags(root=files.root.resolve())
+    simulated = (*simulator.flags(world, CAMERA), *below)
+    of_service = {
+        "router": flags(insecure=insecure or None),
+        "robot": simulated if base is None else flags(ros2_config=body),
+        "features": features,
+        "recognition": chain + below,
+        "policy": chain + below,
     }
-    for folder in folders.values():
-        if folder is not None:
-            outputs.make_folder(folder, "--recordings")
+    of_robot = {
+        "recorder": {one: flags(recordings=folder) + below for one, folder in recorded.items()},
+        "console": {one: flags(console=page) + below for one, page in pages.items()},
+    }
+    given = {
+        name: of_robot.get(service, {}).get(robot, of_service.get(service, ()))
+        + (flags(http=f"127.0.0.1:{metrics[name]}") if name in metrics else ())
+        for name, (service, robot) in plan.processes().items()
+    }
+    where = "without a robot" if body == _NONE else f"in {base or world}"
+    _run(replace(plan, flags=given), f"{where} on {plan.endpoint}, {access}", metrics)
+
+
+def _run(plan: StackPlan, where: str, metrics: dict[str, int]) -> None:
+    """Keep the stack running until Ctrl-C."""
     configure_logging("info")
     log = logging.getLogger("up")
-    below = flags(root=root.resolve())
-    own = {
-        "router": flags(insecure=insecure or None),
-        "robot": (*simulator.flags(world, CAMERA), *below)
-        if base is None
-        else flags(ros2_config=ros2_config),
-        "features": features,
-        "recognition": (*chain, *below),
-        "policy": (*chain, *below),
-    }
-    # For this machine only.
-    ports = (
-        {} if metrics_port is None else {name: metrics_port + k for k, name in enumerate(processes)}
-    )
-    if max(ports.values(), default=0) > LAST_PORT:
-        raise UsageError(
-            f"--metrics-port {metrics_port}: {len(processes)} processes need as many ports"
-        )
-    given = {}
-    for name, (service, robot) in processes.items():
-        of_robot = {
-            "recorder": flags(recordings=folders[robot]) + below,
-            "console": flags(console=pages[robot]) + below,
-        }
-        heard = flags(http=f"127.0.0.1:{ports[name]}") if name in ports else ()
-        given[name] = own.get(service, of_robot.get(service, ())) + heard
-    plan = replace(plan, flags=given)
     with Stack(plan) as stack:
-        where = "without a robot" if robot_body == "none" else f"in {base or world}"
-        named = ("robot " if robots == 1 else "robots ") + ", ".join(plan.fleet)
-        log.info("ready: %s %s on %s, %s; Ctrl-C stops", named, where, plan.endpoint, who)
-        if ports:
-            told = ", ".join(f"{name} {port}" for name, port in ports.items())
-            log.info("GET /healthz and /metrics on 127.0.0.1: %s", told)
+        log.info("ready: robot %s %s; Ctrl-C stops", ", ".join(plan.fleet), where)
+        if metrics:
+            ports = ", ".join(f"{name} {port}" for name, port in metrics.items())
+            log.info("GET /healthz and /metrics on 127.0.0.1: %s", ports)
         with suppress(KeyboardInterrupt):
             while True:
                 time.sleep(WATCH_S)
@@ -167,50 +241,23 @@ def up(
     log.info("stopped")
 
 
-def _base(body: RobotBody, config: Path | None) -> str | None:
-    """Return the name of the real base; None for the simulated robot."""
-    if (body == "ros2") != (config is not None):
-        raise UsageError("--robot-body ros2 and --ros2-config FILE go together")
-    if config is None:
+def _base(body: str) -> str | None:
+    """Return the name of a ROS 2 base; None for the simulated robot, and without a robot."""
+    if body in (_SIMULATOR, _NONE):
         return None
     try:
         from services.ros2.config import read_config  # noqa: PLC0415 - only this needs its packages
     except ModuleNotFoundError as error:
         raise UsageError(
-            f"--robot-body ros2 needs the package {error.name}: pip install -e '.[ros2]'"
+            f"--robot-body {body} needs the package {error.name}: pip install -e '.[ros2]'"
         ) from None
-    return read_config(config).name
-
-
-def _scale(given: list[str] | None) -> dict[str, int]:
-    """Read how many instances of which services are wanted; UsageError says what is wrong with it."""
-    found: dict[str, int] = {}
-    for text in given or ():
-        name, _, many = text.partition("=")
-        if name not in GROUPED or not re.fullmatch(r"0|[1-9]\d?", many):
-            raise UsageError(
-                f"--scale {text!r}: expected NAME=N, with a NAME of {', '.join(GROUPED)}"
-            )
-        found[name] = int(many)
-    if sum(found.values()) - len(found) > MOST_FURTHER:
-        raise UsageError(
-            f"--scale: the router has room for {MOST_FURTHER} further instances in all"
-        )
-    return found
-
-
-def _ports_from(address: str, many: int) -> list[str]:
-    """Return an address, and as many as are wanted in all, at the ports that follow."""
-    host, _, port = address.rpartition(":")
-    return [address] + [
-        f"{host}:{int(port) + k}" for k in range(1, many if port.isdecimal() else 1)
-    ]
+    return read_config(Path(body)).name
 
 
 def _check_addresses(
     reach: options.Reach, services: tuple[str, ...], robots: int, *, insecure: bool
 ) -> str:
-    """Check in one line, before a process starts and fails, that the router can start and all get in; say who does."""
+    """Check, before a process starts, that the router can start and all get in; return how secure it is."""
     settings = reach.settings
     roles = (*map(role_of, services), "watcher")
     for role in roles:
@@ -223,17 +270,3 @@ def _check_addresses(
     return how_secure(
         credentials, *(host_and_port(address)[0] for address in addresses(settings.router))
     )
-
-
-def _chain_flags(
-    model: Path | None, use: options.Use
-) -> tuple[tuple[str, ...], FeatureSettings | None]:
-    """Return the flags by which recognition and policy have their model from the start, and its features."""
-    if model is None:
-        for name, value in asdict(use).items():
-            if value is not None:
-                raise UsageError(f"--{name} {value}: needs --model")
-        return (), None
-    return flags(model=model.resolve(), **asdict(use)), options.read_model(
-        model, use
-    ).feature_settings

@@ -1,5 +1,6 @@
-"""The page in a browser: watch the robot, drive it, teach it, send it to a goal.
+"""Web console: watch the robot, drive it, teach it, and start runs.
 
-``newest_content`` holds the newest of everything for those who watch, ``who_drives`` says who drives, ``service`` joins
-both to the bus, and ``web`` to browsers. ``library``, ``learned`` and ``jobs`` are about what was recorded and learned.
+``service`` connects an operator to the bus and ``web`` to browsers. ``who_drives`` assigns the
+driver, ``newest_content`` holds the latest content for watchers. ``library``, ``learned`` and
+``jobs`` handle recordings and models.
 """

@@ -9,13 +9,13 @@ from services.kit.process import run_node
 
 
 def serve(node: Node, settings: ConsoleSettings) -> None:
-    """Serve the page until stopped."""
+    """Serve the console until stopped."""
     board = Board()
     service = ConsoleService(node, board, settings.root)
     server = WebServer(service, board, settings)
-    # Where it listens on every address, this one leads there from this machine.
+    # A console that listens on all addresses is reachable here through the loopback address.
     node.log.info(
-        "the page of %s is at %s", node.robot, server.address.replace("//0.0.0.0:", "//127.0.0.1:")
+        "page of %s at %s", node.robot, server.address.replace("//0.0.0.0:", "//127.0.0.1:")
     )
     try:
         node.spin()

@@ -1,4 +1,4 @@
-"""What a browser may say: every message is one of these, or the connection ends."""
+"""Messages of browsers; an invalid message ends the connection of a watcher."""
 
 from typing import Annotated, Final, Literal
 
@@ -9,23 +9,24 @@ from schemas.command import Share
 from schemas.episode import Box, GoalName, Victim
 from schemas.rpc import EpisodeName, FileName, Scheme, Start, WorldName
 
-LATE: Final = "that came too late: the connection is slow, or was away; press again"  # What is said of what came late.
+# Refusal of a late message.
+LATE: Final = "request too late: the connection is slow or was interrupted; press again"
 
 
 class SeenRequest(Strict):
-    """A watcher has taken what was sent, and may be sent more."""
+    """A watcher has drawn the last update and can take the next."""
 
     do: Literal["seen"]
 
 
 class StopRequest(Strict):
-    """Emergency stop; anybody's to say."""
+    """Emergency stop, open to every browser."""
 
     do: Literal["stop"]
 
 
 class Hold(Strict):
-    """The answer to a beat, which it names: the person is there, and holds a velocity, by keys or a stick, or none."""
+    """Answer to a beat: the operator is present and holds a velocity (keys or stick), or none."""
 
     do: Literal["hold"]
     beat: Annotated[int, Field(ge=0)]
@@ -33,25 +34,25 @@ class Hold(Strict):
 
 
 class Leave(Strict):
-    """The person stands up; they are not missed."""
+    """The driver leaves the seat; the robot does not miss them."""
 
     do: Literal["leave"]
 
 
 class Asked(Strict):
-    """What whoever drives asks for; it names the newest beat that they had heard: nothing old is done."""
+    """Request of the driver; contains the latest beat, so that late requests are dropped."""
 
     beat: Annotated[int, Field(ge=0)]
 
 
 class Press(Asked):
-    """Arm and go on, begin no episode after all while its world is opened, or end what is being learned or made."""
+    """Arm and resume, withdraw the episode while its world opens, or cancel the running job."""
 
     do: Literal["resume", "withdraw", "cancel"]
 
 
 class End(Asked):
-    """End the episode; ``found``: at its goal, which may be drawn in the picture."""
+    """End the episode; ``found``: at its goal, optionally with a box in the image."""
 
     do: Literal["end"]
     found: bool
@@ -59,14 +60,14 @@ class End(Asked):
 
 
 class Begin(Asked):
-    """Begin an episode; in the world and under the conditions that the robot is in, where none are given."""
+    """Begin an episode; by default in the current world and variation."""
 
     world: WorldName | None = None
     variation: WorldName | None = None
 
 
 class DriveRequest(Begin):
-    """Begin a drive by hand to a goal, and record it; ``name`` is what its recording's name begins with."""
+    """Begin a recorded drive by hand to a goal; ``name`` is the prefix of the recording's name."""
 
     do: Literal["drive"]
     goal: GoalName
@@ -74,7 +75,7 @@ class DriveRequest(Begin):
 
 
 class Run(Begin):
-    """Have the robot search with a model, which is loaded first; one of the paper's scheme has no goal to choose."""
+    """Load a model and begin a run; models of the paper's scheme have a fixed goal."""
 
     do: Literal["run"]
     model: FileName
@@ -85,7 +86,7 @@ class Run(Begin):
 
 
 class LearnRequest(Asked):
-    """Learn a model from recordings, by their names; ``name`` is its file's, without the end."""
+    """Learn a model from recordings; ``name`` is the file name without suffix."""
 
     do: Literal["learn"]
     name: Annotated[str, Field(pattern=r"^\w[\w .-]{0,63}$")]
@@ -94,7 +95,7 @@ class LearnRequest(Asked):
 
 
 class Add(Asked):
-    """Have a model learn from runs of the robot's own, by their names (`smal learn --add`)."""
+    """Add the robot's own runs to a model (`smal learn --add`)."""
 
     do: Literal["add"]
     model: FileName
@@ -102,7 +103,7 @@ class Add(Asked):
 
 
 class Delete(Asked):
-    """Delete a recording, by its name."""
+    """Delete a recording."""
 
     do: Literal["delete"]
     recording: str

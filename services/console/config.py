@@ -1,4 +1,4 @@
-"""Where the page is, and who may open it: checked before anything is served."""
+"""Address and access settings of the console, checked before it serves."""
 
 import socket
 from pathlib import Path
@@ -10,27 +10,30 @@ from services.kit.credentials import others_reach, secret
 from services.kit.node import ServiceError
 from services.kit.root import RootSettings
 
-_TOKEN_LETTERS: Final = 16  # Letters of a token, at least.
+_TOKEN_LETTERS: Final = 16  # Minimum length of a token.
 
 
 class ConsoleSettings(RootSettings):
-    """Where the page is, and who may open it."""
+    """Address and access settings of the console."""
 
     console: Annotated[str, Field(pattern=r"^[^\s/:]+:\d{1,5}$")] = "127.0.0.1:8080"
-    """Where the page is, HOST:PORT; a host that other machines reach needs the three settings that follow."""
+    """Address of the page, HOST:PORT; a host that other machines can reach requires the next three
+    settings
+    """
     console_cert: Path | None = None
-    """Certificate of the page's host, with those that sign it; browsers have to know their authority."""
+    """Certificate chain of the page's host, from an authority that browsers trust"""
     console_key: Path | None = None
-    """Its key."""
+    """Private key of the certificate"""
     console_token: Path | None = None
-    """File with the word, 16 letters or more, that whoever opens the page has to know: https://HOST:PORT/?token=WORD."""
+    """File with a token of at least 16 letters, required to open https://HOST:PORT/?token=WORD"""
     insecure: bool = False
-    """Listen where other machines reach it, and let everybody in: where something else sees to that, as in a container
-    whose port is this machine's."""
+    """Serve other machines without access control, for example in a container whose port is local
+    to this machine
+    """
 
 
 class ListenAddress(NamedTuple):
-    """Where to serve the page: a listening socket, its address, and the word that a browser has to know, if any."""
+    """A listening socket, its address, and the token that browsers need, if any."""
 
     socket: socket.socket
     address: str
@@ -38,13 +41,21 @@ class ListenAddress(NamedTuple):
 
 
 def listen(settings: ConsoleSettings) -> ListenAddress:
-    """Listen where the settings say; ServiceError where that cannot be, BusError when others can read the secrets."""
+    """Open the listening socket.
+
+    Raises
+    ------
+    ServiceError
+        The settings are invalid, or the address is unavailable.
+    BusError
+        Other users can read the secrets.
+    """
     host, _, port = settings.console.rpartition(":")
     token = _token(settings, host)
     try:
         place = socket.create_server((host, int(port)))
     except (OSError, OverflowError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "no such port"
+        reason = error.strerror if isinstance(error, OSError) else "invalid port"
         raise ServiceError(
             f"cannot listen on {settings.console}: {reason}; try another --console HOST:PORT"
         ) from None
@@ -53,23 +64,26 @@ def listen(settings: ConsoleSettings) -> ListenAddress:
 
 
 def _token(settings: ConsoleSettings, host: str) -> str | None:
-    """Return the page's token; None for a page without one. Errors are as in `listen`."""
+    """Return the token of the page, or None; raises the errors of `listen`."""
     given = (settings.console_cert, settings.console_key, settings.console_token)
     if others_reach(host) and not settings.insecure and None in given:
         raise ServiceError(
-            f"--console {settings.console}: other machines reach it, so it needs --console-cert, --console-key and "
-            "--console-token (or --insecure, which lets everybody drive)"
+            f"--console {settings.console}: reachable by other machines; add --console-cert, "
+            "--console-key and --console-token (or --insecure, which lets everybody drive)"
         )
     if None in given and any(given):
-        raise ServiceError("--console-cert, --console-key and --console-token go together")
+        raise ServiceError(
+            "--console-cert, --console-key and --console-token are required together"
+        )
     for path in (settings.console_cert, settings.console_key):
         if path is not None and not path.is_file():
-            raise ServiceError(f"no file {path} for the page's address")
+            raise ServiceError(f"{path}: file not found")
     if settings.console_key is not None:
         secret(settings.console_key)
     token = None if settings.console_token is None else secret(settings.console_token)
     if token is not None and len(token) < _TOKEN_LETTERS:
         raise ServiceError(
-            f"{settings.console_token}: a token of {len(token)} letters; at least {_TOKEN_LETTERS}"
+            f"{settings.console_token}: token too short ({len(token)} letters < minimum "
+            f"{_TOKEN_LETTERS})"
         )
     return token

@@ -1,4 +1,4 @@
-"""What takes long, as a process of its own beside which driving goes on: ``smal learn``, ``smal world import``."""
+"""Long tasks as child processes beside driving: ``smal learn``, ``smal world import``."""
 
 import json
 import logging
@@ -15,45 +15,45 @@ from typing import IO, Final
 from schemas.codec import printable
 from services.kit.node import ServiceError
 
-_NICENESS: Final = 10  # How much it gives way to the services of the stack; see nice(1).
+_NICENESS: Final = 10  # Niceness relative to the services of the stack; see nice(1).
 _COMMAND: Final = (sys.executable, "-c", "from services.cli.main import main; main()")
-# Lines that are kept of what a command says, and of those the remarks that are shown.
+# Number of output lines that are kept, and of remarks that are shown.
 _LINES = 200
 _REMARKS = 20
-#: How long a command may say nothing, seconds. Learning tells of every hundredth of a stage. A map becomes a world
-#: without a word: one of 40,000 houses that overlap took 13 s of processor time, and one of 64 MB, the most that is
-#: taken, 43 s until it was refused for its 180,000 houses; on 2 cores with a load of 12 that was 70 and 116 s.
+#: Timeout without output, seconds. Learning reports every percent of a stage. Map imports are
+#: silent: 40,000 overlapping houses took 13 s of processor time, and a refused map of 64 MB (the
+#: maximum, 180,000 houses) 43 s; with 2 cores at load 12 these took 70 and 116 s.
 PATIENCE_S: Final = 600.0
-_ENDING_S: Final = 5.0  # How long a command may tidy up; it is not heard amid a calculation.
+_ENDING_S: Final = 5.0  # Time to clean up; commands ignore signals during a calculation.
 _log = logging.getLogger("console")
 
 
 @dataclass(frozen=True)
 class BackgroundJob:
-    """Something to make."""
+    """A long task with its command."""
 
-    kind: str  # What it will be: a model, a world.
+    kind: str  # Kind of the result: a model or a world.
     name: str
-    doing: str  # What the page says meanwhile.
-    done: str  # What the page says when it is there.
-    arguments: tuple[str, ...]  # Of the ``smal`` command, which is told ``--out`` as well.
+    doing: str  # Text on the page during the job.
+    done: str  # Text on the page after success.
+    arguments: tuple[str, ...]  # Arguments of ``smal``, without ``--out``.
     out: Path
-    hidden: str  # How the command names what it reads, which is ``called`` otherwise on the page.
+    hidden: str  # Path in the output, replaced by ``called`` on the page.
     called: str = ""
-    renews: bool = False  # Whether it is there already.
-    reads: IO[bytes] | None = None  # The open file that the command reads, where it has no name.
+    renews: bool = False  # Whether the job updates an existing file.
+    reads: IO[bytes] | None = None  # Open file without a name that the command reads.
 
 
 class _Work:
-    """A command at work, and how it was ended, if it was: the outcome, and why."""
+    """A running command, with its outcome and reason if it was ended."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self.process = process
         self.ended: tuple[str, str] | None = None
 
     def lines(self) -> Iterator[str]:
-        """Give what it says until it ends; it is ended where it says nothing for too long."""
-        why = f"it said nothing for {PATIENCE_S / 60:.0f} min, and was ended"
+        """Yield output lines until the command ends; end it after a timeout without output."""
+        why = f"no output for {PATIENCE_S / 60:.0f} min, so it was ended"
         assert self.process.stdout is not None  # noqa: S101 - it is a pipe
         line = " "
         while line:
@@ -63,14 +63,17 @@ class _Work:
             yield line.strip()
 
     def end(self, outcome: str, why: str = "") -> None:
-        """End it: it may tidy up, for a while."""
+        """Terminate the command, and kill it after a timeout."""
         self.ended = self.ended or (outcome, why)
         self.process.terminate()
         _later(_ENDING_S, self.process.kill)
 
 
 class Jobs:
-    """One job at a time, of one thread; ``show`` is given the job as the page draws it, on the job's own thread."""
+    """Runs one job at a time, for one thread.
+
+    ``show`` receives the job's state for the page, on the job's own thread.
+    """
 
     def __init__(self, show: Callable[[dict[str, object]], None]) -> None:
         self._show = show
@@ -78,15 +81,15 @@ class Jobs:
 
     @property
     def running(self) -> bool:
-        """Whether a job is at work."""
+        """Whether a job is running."""
         return self._work is not None
 
     def begin(self, job: BackgroundJob) -> None:
-        """Begin a job; ServiceError when another is at work, or what it makes is there already."""
+        """Begin a job; raises ServiceError for a running job or an existing result."""
         if self.running:
-            raise ServiceError("something else is being made; wait, or cancel that first")
+            raise ServiceError("another job is running; wait, or cancel it first")
         if job.out.exists() and not job.renews:
-            raise ServiceError(f"there is a {job.kind} {job.name} already; choose another name")
+            raise ServiceError(f"{job.kind} {job.name} already exists; choose another name")
         job.out.parent.mkdir(exist_ok=True)
         process = subprocess.Popen(  # noqa: S603 - our own command; the paths are of listed files
             [*_COMMAND, *job.arguments, "--out", str(job.out)],
@@ -104,7 +107,7 @@ class Jobs:
         ).start()
 
     def cancel(self) -> None:
-        """End the job that is at work, without what it makes."""
+        """Cancel the running job and discard its result."""
         if (work := self._work) is not None:
             work.end("cancelled")
 
@@ -115,21 +118,21 @@ class Jobs:
             "doing": job.doing,
             "done": job.done,
         }
-        said: deque[str] = deque(maxlen=_LINES)
+        output: deque[str] = deque(maxlen=_LINES)
         try:
             self._show({**shown, "stage": "", "share": None})
             for line in work.lines():
                 if (progress := _progress(line)) is not None:
                     self._show({**shown, **progress})
                 elif line:
-                    said.append(printable(line).replace(job.hidden, job.called))
+                    output.append(printable(line).replace(job.hidden, job.called))
         except Exception:  # noqa: BLE001 - whatever it is, the next one has its turn
             _log.warning("%s", job.doing, exc_info=True)
             work.process.kill()
         status = work.process.wait()
         self._work = None
-        remarks = [line.removeprefix("smal: ") for line in said if line.startswith("smal: ")]
-        last = (remarks or [*said] or [f"it ended with status {status}"])[-1]
+        remarks = [line.removeprefix("smal: ") for line in output if line.startswith("smal: ")]
+        last = (remarks or [*output] or [f"exit status {status}"])[-1]
         outcome, why = work.ended or (("done", "") if status == 0 else ("failed", last))
         self._show({**shown, "outcome": outcome, "why": why, "remarks": remarks[-_REMARKS:]})
 
@@ -142,9 +145,9 @@ def _later(after_s: float, what: Callable[..., None], *arguments: object) -> thr
 
 
 def _progress(line: str) -> dict[str, object] | None:
-    """Return how far a command says that it is; None where the line is for people."""
+    """Parse a progress line; None for other output."""
     try:
-        told = json.loads(line)
-        return {"stage": told["stage"], "share": told["done"] / max(told["total"], 1)}
+        progress = json.loads(line)
+        return {"stage": progress["stage"], "share": progress["done"] / max(progress["total"], 1)}
     except (ValueError, TypeError, KeyError):
         return None

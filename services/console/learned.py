@@ -1,4 +1,4 @@
-"""The model that the robot goes by, as far as the page draws it: the taught ways, and what they looked like."""
+"""The loaded model as the page draws it: taught routes and their images."""
 
 import math
 from dataclasses import dataclass
@@ -18,25 +18,23 @@ from smal.model import Model
 from smal.movement import placed
 from smal.planning import chosen_goal, cost_to_go
 
-_NEAR_M = 2.0  # The robot is at a place with the weight of all so near, along the same drive.
+_NEAR_M = 2.0  # The weights within this distance on the same drive add up to the confidence.
 
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """What the page knows of a model, by which identity messages tell of it, and of each of its keyframes."""
+    """Drawable content of a model: its identity, and the properties of its keyframes."""
 
     identity: str
-    goal: str  # Where the robot goes.
+    goal: str
     drives: NDArray[np.int32]
-    along_m: NDArray[np.float64]  # The way from the drive's start.
-    cost_s: NDArray[np.float64]  # The time to the goal; infinite where no way leads there.
-    poses: NDArray[
-        np.float64
-    ]  # x, y and heading: in the world, where its recording tells; else by the wheels.
-    images: tuple[
-        memoryview | None, ...
-    ]  # The taught image as it was recorded; None where its recording is gone.
-    world: str = ""  # Where all of it was taught; empty where the recordings are gone, or several worlds are in them.
+    along_m: NDArray[np.float64]  # Distance from the start of the drive.
+    cost_s: NDArray[np.float64]  # Time to the goal; infinite without a route.
+    # x, y and heading: ground truth of the recording, else odometry.
+    poses: NDArray[np.float64]
+    # Taught images; None if the recording is gone.
+    images: tuple[memoryview | None, ...]
+    world: str = ""  # World of all recordings; empty if unknown or ambiguous.
 
     def image(self, keyframe: int) -> bytes | None:
         """Return the taught image of a keyframe as JPEG."""
@@ -44,7 +42,7 @@ class Learned:
         return None if recorded is None else stamped_jpeg(bytes(recorded))[1]
 
     def shown(self) -> dict[str, object]:
-        """Return what the page draws once."""
+        """Return the content that the page draws once."""
         return {
             "id": self.identity,
             "goal": self.goal,
@@ -56,7 +54,7 @@ class Learned:
         }
 
     def belief(self, state: State) -> dict[str, object]:
-        """Return where a state says that the robot is, most likely."""
+        """Return the most likely pose of a state."""
         keyframes = state.keyframes
         known = len(keyframes) > 0 and keyframes.max() < len(self.poses)
         if state.model != self.identity or not known:
@@ -75,7 +73,22 @@ class Learned:
 
 
 def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> Learned:
-    """Return what the page knows of a model, with its recordings by episode; ValueError where it has no such goal."""
+    """Collect the drawable content of a model.
+
+    Parameters
+    ----------
+    model : Model
+        Loaded model.
+    goal : str or None
+        Goal of the robot; None for the only goal.
+    recordings : dict
+        Paths of recordings, by episode.
+
+    Raises
+    ------
+    ValueError
+        The model does not have this goal.
+    """
     mapped = model.mapped
     goal = chosen_goal(mapped.goals, goal)
     drives = mapped.key_drives
@@ -89,7 +102,7 @@ def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> L
         worlds.add("" if recorded is None else recorded.world)
         if recorded is None:
             continue
-        # Where the names do not tell the ticks, these are the last ones.
+        # Without ticks in the names, the last ticks apply.
         ticks = ticks_of(names, frames) or range(
             max(recorded.images) - frames + 1, max(recorded.images) + 1
         )
@@ -105,7 +118,7 @@ def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> L
 
 
 def _recorded(path: Path | None, episode: str) -> RecordedEpisode | None:
-    """Read images and true poses of an episode; None where they are gone."""
+    """Read images and true poses of an episode; None if they are gone."""
     if path is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""What was recorded and learned: the files that the page lists, below the root."""
+"""Recordings and models below the root, as the page lists them."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -21,16 +21,17 @@ from smal.files import container
 from smal.files.container import ModelError
 from smal.files.stored import FORMAT_VERSION
 
-#: Folders below the root: of the drives, unless the recorder says otherwise, and of the models that are learned here.
+#: Folders below the root: recordings, unless the recorder reports another folder, and learned
+#: models.
 DRIVES: Final = "drives"
 MODELS: Final = "models"
-_SHOW_S: Final = 1.0  # How often what is known is shown while many recordings are read.
-_MOST_DRIVES: Final = 1000  # Drives of a model that the page lists.
+_SHOW_S: Final = 1.0  # Interval of partial listings while recordings are read.
+_MOST_DRIVES: Final = 1000  # Maximum number of a listed model's drives.
 _NAME: Final[TypeAdapter[str]] = TypeAdapter(FileName)
 
 
 class _File(NamedTuple):
-    """A file below the root; another one where it has changed."""
+    """A file below the root; a changed file is a different value."""
 
     name: str
     changed_ns: int
@@ -48,19 +49,19 @@ class LearnedModel:
     name: str
     when_s: float
     size: int
-    goals: tuple[str, ...] = ()  # Of one for the paper's scheme, none: that goes to the nearest.
-    episodes: frozenset[str] = frozenset()  # Episodes that it was learned from.
-    fingerprint: str = ""  # Features that it was learned on.
-    longest: int = 0  # Frames of its longest drive.
-    useless: str = ""  # Why it cannot be used; empty where it can.
+    goals: tuple[str, ...] = ()  # Empty for the paper's scheme, which drives to the nearest goal.
+    episodes: frozenset[str] = frozenset()  # Episodes that the model was learned from.
+    fingerprint: str = ""  # Fingerprint of the model's features.
+    longest: int = 0  # Frames of the longest drive.
+    useless: str = ""  # Reason why it is unusable; empty if usable.
 
 
 class Library:
-    """Recordings and models below a root, looked at again where they have changed; one thread alone calls ``look``."""
+    """Recordings and models below a root, read again after changes; ``look`` is for one thread."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self.folder: str | None = DRIVES  # The recordings'; None where it lies outside of the root.
+        self.folder: str | None = DRIVES  # Folder of the recordings; None outside the root.
         self._lock = Lock()
         self._recordings: dict[_File, ListedRecording] = {}
         self._models: dict[_File, LearnedModel] = {}
@@ -68,12 +69,12 @@ class Library:
         self._closed = Event()
 
     def close(self) -> None:
-        """Have ``look`` end soon."""
+        """Stop a running ``look`` soon."""
         self._closed.set()
         self._reader.stop()
 
     def look(self, show: Callable[[dict[str, object]], None] = lambda _: None) -> dict[str, object]:
-        """Look at what is there, for the page; ``show`` is given what is known so far while recordings are read."""
+        """List the files for the page; ``show`` receives partial lists during the reading."""
         files = (
             set() if self.folder is None else self._files((self.root / self.folder).glob("*.mcap"))
         )
@@ -109,29 +110,29 @@ class Library:
             return sorted(self._models.values(), key=lambda one: -one.when_s)
 
     def recording(self, name: str) -> ListedRecording | None:
-        """Return a recording by its name."""
+        """Return a recording by name."""
         return next((one for one in self.recordings() if one.name == name), None)
 
     def model(self, name: str) -> LearnedModel:
-        """Return a model that can be used, by its name; ServiceError where there is none."""
+        """Return a usable model by name; raises ServiceError without one."""
         model = next((one for one in self.models() if one.name == name), None)
         if model is None or model.useless:
-            raise ServiceError(f"{name}: {'no such model' if model is None else model.useless}")
+            raise ServiceError(f"{name}: {'model not found' if model is None else model.useless}")
         return model
 
     def leads_to(self, model: LearnedModel) -> str:
-        """Return where a run to the nearest goal leads, by the model, or else by the recordings that taught it."""
+        """Return the goal of a run to the nearest goal, from the model or from its recordings."""
         goals = set(model.goals) or {one.goal for one in self._taught_by(model) if one.goal}
         return goals.pop() if len(goals) == 1 else "nearest" if goals else "victim"
 
     def path(self, name: str) -> Path:
-        """Return the path of something that is listed; an ``OSError`` where a link leads out of the root."""
+        """Return the path of a listed file; raises OSError for links out of the root."""
         return below(self.root, name)
 
     def delete(self, name: str) -> None:
-        """Delete a recording; of a link, itself, and not what it leads to. ServiceError when it is not listed."""
+        """Delete a recording, or a link itself; raises ServiceError if it is not listed."""
         if self.recording(name) is None:
-            raise ServiceError("no such recording")
+            raise ServiceError("recording not found")
         folder, _, last = name.rpartition("/")
         (below(self.root, folder) / last).unlink()
 
@@ -147,7 +148,7 @@ class Library:
                 "name": one.name,
                 "goals": one.goals,
                 "useless": one.useless,
-                # As far as its recordings tell.
+                # Only for recordings that still exist.
                 "worlds": sorted({taught.world for taught in self._taught_by(one) if taught.world}),
             }
             for one in self.models()
@@ -155,7 +156,7 @@ class Library:
         return {"folder": self.folder, "recordings": recordings, "models": models}
 
     def _files(self, paths: Iterable[Path]) -> set[_File]:
-        """Give those that may be named."""
+        """Return the files with valid names below the root."""
         files = set()
         for path in paths:
             try:
@@ -180,7 +181,7 @@ class Library:
                 max(len(mapped["goals"]), len(mapped["names"])) > _MOST_DRIVES
                 or not 0 < meta["longest"] <= MAX_TICK
             ):
-                raise ValueError(f"more than {_MOST_DRIVES} drives, or none of its length")
+                raise ValueError(f"invalid: more than {_MOST_DRIVES} drives, or an invalid length")
             goals = tuple(sorted({printable(str(goal)) for goal in mapped["goals"]}))
             episodes = frozenset(
                 episode_of(str(name)) for names in mapped["names"] for name in names

@@ -1,4 +1,4 @@
-"""Recordings as the page lists them, read in a process of its own: a file that takes long, or all memory, ends that."""
+"""Read recordings for the page in a child process, with limits against slow and large files."""
 
 import logging
 import multiprocessing
@@ -22,24 +22,17 @@ from services.recordings.recorded import RecordedEpisode
 from services.recordings.stream import RecordingError
 from services.robot.clock import TICK_S
 
-# Pictures along a drive, and their width; six of them fill a row of the list.
+# Number of pictures along a drive, and their width; six fill a row of the list.
 THUMBNAILS = 6
 _WIDTH = 160
-#: Processor time that one file may take, whole seconds: a drive of 4 hours takes 15 of them. Wall time would count what
-#: else the machine does.
+#: Limit of processor time for a file, seconds: a drive of 4 hours takes 15 s. Wall time would
+#: include other load.
 READ_S: Final = 120
-_NICENESS: Final = 10  # How much reading gives way to the services of the stack; see nice(1).
-_ENDED_FIRST: Final = (
-    "1000"  # Where memory runs out, this process ends before the others; see proc(5).
-)
-_SAME: Final = (
-    "episode",
-    "purpose",
-    "goal",
-    "world",
-    "outcome",
-    "frames",
-)  # Of a recorded episode, and as listed.
+_NICENESS: Final = 10  # Niceness relative to the services of the stack; see nice(1).
+# The kernel ends this process first when memory runs out; see proc(5).
+_ENDED_FIRST: Final = "1000"
+# Fields with equal names in `RecordedEpisode` and `ListedRecording`.
+_SAME: Final = ("episode", "purpose", "goal", "world", "outcome", "frames")
 _log = logging.getLogger("console")
 
 
@@ -55,44 +48,43 @@ class ListedRecording:
     goal: str = ""
     world: str = ""
     outcome: str | None = None
-    corrected: bool = (
-        False  # Whether a person took over from the robot that drove by itself, and so taught it.
-    )
+    # Whether a person took over during a run, which makes the run a lesson.
+    corrected: bool = False
     frames: int = 0
     seconds: float = 0.0
-    useless: str = ""  # Why it teaches nothing; empty where it does.
+    useless: str = ""  # Reason why it cannot teach; empty if it can.
     thumbnails: tuple[bytes, ...] = ()
 
 
 class Reader:
-    """Reads recordings, one at a time, in a process of its own; of one thread, but for ``stop``."""
+    """Reads recordings one at a time in a child process, for one thread (except ``stop``)."""
 
     def __init__(self) -> None:
         self._process: tuple[multiprocessing.process.BaseProcess, Connection] | None = None
 
     def read(self, path: Path, listed: ListedRecording) -> ListedRecording:
-        """Complete what the page lists with what is in the file; where it cannot be read, with why not."""
+        """Return the entry with the content of the file, or with the reason of a failure."""
         process, ours = self._process = self._process or _started()
         with suppress(EOFError, OSError):
             ours.send((path, listed))
             return cast("ListedRecording", ours.recv())
         self.close()
         too_long = process.exitcode == -signal.SIGXCPU
-        why = f"it takes more than {READ_S} s" if too_long else "the process that read it has died"
-        return replace(listed, useless=f"it cannot be read: {why}")
+        why = f"it takes more than {READ_S} s" if too_long else "the reading process has died"
+        return replace(listed, useless=f"cannot be read: {why}")
 
     def stop(self) -> None:
-        """Have what is being read end, from any thread."""
+        """End the current reading, from any thread."""
         if (at_work := self._process) is not None:
             at_work[0].kill()
 
     def close(self) -> None:
-        """End the process."""
+        """End the child process."""
         if self._process is not None:
             process, ours = self._process
             self._process = None
             ours.close()
-            process.join()  # it ends where nobody asks any more
+            process.join()  # It ends without its connection.
 
 
 def _started() -> tuple[multiprocessing.process.BaseProcess, Connection]:
@@ -100,13 +92,13 @@ def _started() -> tuple[multiprocessing.process.BaseProcess, Connection]:
     ours, theirs = context.Pipe()
     process = context.Process(target=_read_all, args=(theirs,), name="recordings", daemon=True)
     process.start()
-    theirs.close()  # so that its death is heard
+    theirs.close()  # So that the death of the child ends the connection.
     return process, ours
 
 
 def _read_all(connection: Connection) -> None:
     os.nice(_NICENESS)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who started it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent.
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(_ENDED_FIRST)
     with suppress(EOFError, OSError):
@@ -117,20 +109,20 @@ def _read_all(connection: Connection) -> None:
 
 
 def end_after(limit_s: int) -> None:
-    """Have the system end this process (SIGXCPU) when it has worked for so many seconds more."""
+    """Limit the further processor time of this process, seconds (SIGXCPU)."""
     spent = resource.getrusage(resource.RUSAGE_SELF)
     until_s = int(spent.ru_utime + spent.ru_stime) + limit_s
     resource.setrlimit(resource.RLIMIT_CPU, (until_s, resource.RLIM_INFINITY))
 
 
 def read(path: Path, listed: ListedRecording) -> ListedRecording:
-    """Complete what the page lists with what is in the file."""
+    """Return the entry with the content of the file."""
     try:
         episode, *others = read_recording(path, topics=(JPEG, APPLIED)).episodes
     except RecordingError as error:
         return replace(listed, useless=printable(str(error)).removeprefix(f"{path}: "))
     useless = (
-        "it holds several episodes; use smal learn"
+        "contains several episodes; use smal learn"
         if others
         else unusable(episode, include_runs=True)
     )

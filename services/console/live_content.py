@@ -1,4 +1,4 @@
-"""What the services tell and what lies in the folders, put on the board for those who watch."""
+"""Publish the state of services and files on the board, for watchers."""
 
 import math
 import time
@@ -12,7 +12,7 @@ import numpy as np
 from schemas import topics
 from schemas.action import Action
 from schemas.camera import CompressedImage
-from schemas.motion import Pose, TrackedPose
+from schemas.motion import TrackedPose, TruePose
 from schemas.rpc import LookReply, Nothing, Status
 from schemas.state import State
 from services.console.learned import Learned, learned_of
@@ -29,13 +29,14 @@ from smal.files.container import ModelError
 from smal.files.stored import Stored
 from smal.model import Model
 
-_LOOK_S: Final = 1.0  # How often services and files are looked at.
-#: Points of today's way; when there are more every second one is left out. And how far they are apart.
+_LOOK_S: Final = 1.0  # Polling interval of services and files.
+#: Maximum number of points of the driven path (above it, every second point is dropped), and their
+#: spacing.
 _POINTS: Final = 400
 _APART_M: Final = 0.1
-_ANSWER_S: Final = 1.0  # How long a service may take to answer.
-#: What a service tells of itself that the page needs.
-_TOLD: Final = (
+_ANSWER_S: Final = 1.0  # Timeout of a service's answer.
+#: Details of services that the page uses.
+_DETAILS: Final = (
     "world",
     "worlds",
     "variation",
@@ -44,27 +45,25 @@ _TOLD: Final = (
     "turn_rate_rad_s",
     "disk",
 )
-_PEEK_S: Final = (
-    1.0  # How often a robot without an episode, which sends no frames, is asked what it sees.
-)
-_THINGS: Final = 200  # Places on the map where something stands, at most.
+# Interval of images between episodes, when the robot publishes no frames.
+_PEEK_S: Final = 1.0
+_THINGS: Final = 200  # Maximum number of obstacle points on the map.
 
 
 class Health:
-    """Asks services how they are."""
+    """Polls the status of services."""
 
     def __init__(self, bus: Bus, services: tuple[str, ...]) -> None:
         self.bus = bus
         self._services = services
         self._asked_s = time.monotonic()
-        self.statuses: dict[
-            str, Status | None
-        ] = {}  # The last answers; None of who did not answer.
+        # The last answers; None after a timeout.
+        self.statuses: dict[str, Status | None] = {}
 
     def ask(self) -> list[dict[str, object]]:
-        """Ask all at once; return one row a service, for the page."""
+        """Poll all services at once; return a row for each service."""
         before = self.statuses
-        # Threads for this once: a service that hangs holds up its own thread alone, and for no longer than its time.
+        # Short-lived threads: a service that hangs delays only its own thread, up to the timeout.
         with ThreadPoolExecutor(len(self._services), "health") as pool:
             self.statuses = dict(
                 zip(self._services, pool.map(self._status, self._services), strict=True)
@@ -78,7 +77,7 @@ class Health:
         ]
 
     def detail(self, service: str, key: str) -> object:
-        """Return what a service told of itself; None where it did not."""
+        """Return a detail of a service's status; None if unknown."""
         status = self.statuses.get(service)
         return None if status is None else status.detail.get(key)
 
@@ -90,7 +89,7 @@ class Health:
 
 
 class LiveContent:
-    """Puts on the board what is heard (but ``action``), how services are, and what was recorded and learned."""
+    """Publishes messages (except ``action``), health, recordings and models on the board."""
 
     def __init__(self, node: Node, board: Board, library: Library) -> None:
         self._board = board
@@ -98,12 +97,12 @@ class LiveContent:
         self.health = Health(
             node.bus, tuple(name for name in stack_services() if name != node.name)
         )
-        self.learned: Learned | None = None  # The model that the robot goes by.
+        self.learned: Learned | None = None  # The loaded model.
         self._followed: tuple[object, object] = (None, None)
         self._way: list[tuple[float, float]] = []
         self._way_of = ""
         self._sight = ObstacleSight()
-        self._seen_s = -math.inf  # When the last frame came.
+        self._seen_s = -math.inf  # Time of the last frame.
         node.subscribe(topics.JPEG, self._on_image, depth=1)
         node.subscribe(topics.DEPTH, self._sight.see)
         node.subscribe(topics.ODOMETRY, self._sight.roll)
@@ -117,7 +116,7 @@ class LiveContent:
     def _on_image(self, image: CompressedImage) -> None:
         if is_jpeg(image.data):
             self._seen_s = self._board.clock()
-            # First, since the page draws it over the picture.
+            # Before the image, since the page draws it over the image.
             self._look_around(image.episode)
             self._show(image.data)
 
@@ -126,7 +125,7 @@ class LiveContent:
         self._put("camera")
 
     def _peek(self) -> None:
-        """Show what the camera sees before an episode, if anybody looks."""
+        """Show the camera image between episodes, if there are watchers."""
         last_s = self._seen_s
         if not self._board.watchers or self._board.clock() - last_s < _PEEK_S:
             return
@@ -136,7 +135,7 @@ class LiveContent:
                 self._show(seen)
 
     def _look_around(self, episode: str) -> None:
-        """Show what stands about the robot, by its depth camera, if anybody looks."""
+        """Show obstacles from the depth camera, if there are watchers."""
         around = self._sight.around(episode) if self._board.watchers else None
         if around is None or self._sight.mount is None or (seen := around.seen) is None:
             return
@@ -146,12 +145,13 @@ class LiveContent:
         self._put(
             "around",
             mounting=self._sight.mount._asdict(),
-            # Of the picture: how far to the left a metre ahead, how far ahead, how high; and how far they are apart.
+            # In the image: metres to the left at 1 m ahead, distance, height; and the spacing of
+            # columns.
             columns=columns.round(3).tolist(),
             apart=round(float(seen.across[0] - seen.across[1]), 5),
             things=around.things(_THINGS)
             .round(2)
-            .tolist(),  # Ahead of the robot and to its left, metres.
+            .tolist(),  # Metres ahead of the robot and to its left.
         )
 
     def _on_state(self, state: State) -> None:
@@ -178,11 +178,10 @@ class LiveContent:
         )
 
     def on_action(self, action: Action) -> None:
-        """Show what it does, and why."""
+        """Show the robot's plan."""
         self._put("plan", tick=action.tick, kind=action.kind, atoms=action.atoms[:20])
 
-    def _on_pose(self, pose: Pose) -> None:
-        """Take note of where the robot truly is, and of the way that it has come in this episode."""
+    def _on_pose(self, pose: TruePose) -> None:
         if pose.episode != self._way_of:
             self._way = []
             self._way_of = pose.episode
@@ -191,7 +190,7 @@ class LiveContent:
             self._way.append(here)
             if len(self._way) > _POINTS:
                 del self._way[1:-1:2]
-            # Every tenth point, since the page draws the rest itself from where the robot is.
+            # Every tenth point: the page draws the rest from the robot's pose.
             if len(self._way) % 10 == 1:
                 self._board.put("way", {"episode": pose.episode, "points": self._way})
         self._put("pose", episode=pose.episode, pose=_rounded(pose.x_m, pose.y_m, pose.heading_rad))
@@ -213,29 +212,30 @@ class LiveContent:
         self._board.put(
             "library", self._library.look(lambda shown: self._board.put("library", shown))
         )
-        told = {
+        followed = {
             key: self.health.detail("recognition", key) for key in ("model", "checksum", "goal")
         }
-        if told["model"] is not None and self._followed != (told["checksum"], told["goal"]):
-            self._followed = (told["checksum"], told["goal"])
+        if followed["model"] is not None and self._followed != (
+            followed["checksum"],
+            followed["goal"],
+        ):
+            self._followed = (followed["checksum"], followed["goal"])
             self._follow_model(
-                str(told["model"]), None if told["goal"] is None else str(told["goal"])
+                str(followed["model"]), None if followed["goal"] is None else str(followed["goal"])
             )
 
     def _follow_model(self, file: str, goal: str | None) -> None:
         name = name_below(self._library.root, self._library.root / file)
         try:
             if name is None:
-                raise ServiceError(
-                    f"The page cannot draw {file}: it lies outside of the console's folder."
-                )
+                raise ServiceError(f"{file}: permission denied, outside the console's folder")
             recordings = {
                 one.episode: self._library.path(one.name) for one in self._library.recordings()
             }
             model = Stored.load(below(self._library.root, name))
             if not isinstance(model, Model):
                 raise ServiceError(
-                    f"{name} is for the paper's scheme: its states have no places on a map."
+                    f"{name}: unsupported on the map (the paper's scheme has no poses)"
                 )
             self.learned = learned = learned_of(model, goal, recordings)
             self._board.put("model", {"name": name} | learned.shown())
@@ -267,7 +267,7 @@ def _row(
         "failed": status.failed,
         "told": {
             key: status.detail[key]
-            for key in _TOLD
+            for key in _DETAILS
             if status.detail.get(key) not in (None, "", False)
         },
     }

@@ -1,4 +1,4 @@
-"""The newest of everything, for those who watch: nothing waits for a slow one, who finds something newer then."""
+"""Latest content for watchers; slow watchers skip content instead of delaying it."""
 
 import asyncio
 import json
@@ -9,17 +9,21 @@ from typing import Final
 
 from services.robot.clock import now_s
 
-MOST_WATCHERS: Final = 64  # Most watchers at a time.
-#: Waits for a change; gives what is new since the last time: channels as one JSON object, and the picture or none.
+MOST_WATCHERS: Final = 64  # Maximum number of watchers.
+#: Waits for a change; returns the changed channels as a JSON object, and the changed picture or
+#: b"".
 Newest = Callable[[], Awaitable[tuple[str, bytes]]]
 
 
 class FullError(Exception):
-    """Too many watch."""
+    """Too many watchers."""
 
 
 class Board:
-    """Holds the newest content of each channel, as JSON, and picture; of any thread. Ages go by its clock, seconds."""
+    """Latest content of each channel, as JSON, and the latest picture; thread-safe.
+
+    ``clock`` gives the time in seconds that ages refer to.
+    """
 
     def __init__(self, clock: Callable[[], float] = now_s) -> None:
         self.clock = clock
@@ -30,7 +34,7 @@ class Board:
         self._wakes: list[Callable[[], None]] = []
 
     def put(self, channel: str, content: object) -> None:
-        """Replace what a channel holds."""
+        """Replace the content of a channel."""
         text = json.dumps(content, separators=(",", ":"), allow_nan=False)
         with self._lock:
             if self._channels.get(channel, (0, ""))[1] != text:
@@ -48,7 +52,7 @@ class Board:
         return self._version
 
     def _since(self, version: int) -> tuple[int, str, bytes]:
-        """Return the newest version, and what is newer than another: JSON with the time ``now``, and the picture."""
+        """Return the latest version, newer channels as JSON with ``now``, and the picture."""
         with self._lock:
             new = [
                 f'"{name}":{text}' for name, (at, text) in self._channels.items() if at > version
@@ -60,14 +64,14 @@ class Board:
 
     @contextmanager
     def watched(self) -> Iterator[Newest]:
-        """Give a watcher, in a running event loop, what tells it the newest; FullError when there are too many."""
+        """Register a watcher of the running event loop; raises FullError at the maximum."""
         loop = asyncio.get_running_loop()
         changed = asyncio.Event()
         seen = 0
         changed.set()
 
         def wake() -> None:
-            with suppress(RuntimeError):  # of a loop that has just ended
+            with suppress(RuntimeError):  # The loop has just ended.
                 loop.call_soon_threadsafe(changed.set)
 
         async def newest() -> tuple[str, bytes]:
@@ -89,5 +93,5 @@ class Board:
 
     @property
     def watchers(self) -> int:
-        """How many watch."""
+        """Number of watchers."""
         return len(self._wakes)

@@ -1,4 +1,4 @@
-"""The page's server: one loop, on a thread of its own, in which nobody keeps the others from their turn."""
+"""HTTP server of the page: one event loop on its own thread, with fair turns for connections."""
 
 import asyncio
 import logging
@@ -17,17 +17,17 @@ from services.console.web import Web
 from services.kit.node import ServiceError
 from services.kit.throttle import Throttle
 
-_MOST_BYTES: Final = (
-    1 << 20
-)  # Most bytes that a browser says at once: the names of a thousand recordings.
-_AT_ONCE: Final = 1024  # Bytes that are read before it is others' turn: 20 answers, 1 ms.
-_FAREWELL_S: Final = 1  # How long open sockets may take to close at the end.
-_NO_WORD: Final = "-"  # Opens no key that is encrypted, for which the terminal would be asked.
+# Maximum message of a browser, bytes: the names of a thousand recordings.
+_MOST_BYTES: Final = 1 << 20
+_AT_ONCE: Final = 1024  # Bytes read in a turn: 20 answers, 1 ms.
+_FAREWELL_S: Final = 1  # Timeout of closing sockets at shutdown.
+# Dummy password, so that encrypted keys fail instead of prompting in the terminal.
+_NO_WORD: Final = "-"
 _complaints = Throttle()
 
 
 class _Socket(WebSocketsSansIOProtocol, asyncio.BufferedProtocol):
-    """Takes turns with all others, however much its browser says: what is read is read to its end before they go on."""
+    """Limits each read, so that a flooding browser leaves turns for all others."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._read = bytearray(_AT_ONCE)
@@ -43,21 +43,22 @@ class _Socket(WebSocketsSansIOProtocol, asyncio.BufferedProtocol):
         if self.writable.is_set():
             super().handle_ping()
         else:
-            self.conn.data_to_send()  # the answer: of who takes none, they would fill the memory
+            # Drop the pong of a browser that does not read, which would fill the memory.
+            self.conn.data_to_send()
 
 
 class WebServer:
-    """Serves the page; ServiceError when it may not listen there, or cannot, or the certificate is of no use."""
+    """Serves the page; raises ServiceError for a failed address or certificate."""
 
     def __init__(self, service: ConsoleService, board: Board, settings: ConsoleSettings) -> None:
         self._socket, self.address, token = listen(settings)
-        # Who sends rubbish must not fill the disk with the log.
+        # Throttled, so that invalid requests cannot fill the disk with logs.
         logging.getLogger("uvicorn.error").addFilter(lambda _: _complaints.due())
         config = uvicorn.Config(
             AccessGuard(Web(service, board).application(), token),
             ws=_Socket,
             ws_max_size=_MOST_BYTES,
-            # A browser that says nothing for a while may still look.
+            # Keeps silent watchers connected.
             ws_ping_interval=20.0,
             ws_per_message_deflate=False,
             ssl_certfile=settings.console_cert,
@@ -76,7 +77,7 @@ class WebServer:
         except (ssl.SSLError, OSError) as error:
             self._socket.close()
             raise ServiceError(
-                f"{settings.console_cert} and its key are of no use: {error}"
+                f"{settings.console_cert}: invalid certificate or key ({error})"
             ) from None
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(
@@ -88,5 +89,5 @@ class WebServer:
         """Stop listening."""
         self._server.should_exit = True
         self._thread.join(2 * _FAREWELL_S)
-        if not self._thread.is_alive():  # its loop would fail under a socket that is closed
+        if not self._thread.is_alive():  # Closing the socket earlier would fail the loop.
             self._socket.close()

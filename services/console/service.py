@@ -1,4 +1,4 @@
-"""The console on the bus: what a browser says goes to the operator, or to whom it is for."""
+"""Connection of the console to the bus: requests of browsers go to the operator and services."""
 
 import math
 import secrets
@@ -46,22 +46,22 @@ from services.kit.root import WORLDS, below
 from services.operator.operator import POLL_S, Operator
 from services.table import CHAIN
 
-LOAD_S: Final = 60.0  # Reading a model takes as long.
-_LINES: Final = 30  # Lines of news that the page keeps.
+LOAD_S: Final = 60.0  # Timeout of loading a model.
+_LINES: Final = 30  # News lines that the page keeps.
 
 
 class ConsoleService:
-    """Wires an operator and a board to a node.
+    """Connects an operator and a board to a node.
 
-    All that a person does is done on the node's thread: other threads call it by ``do``. Browsers may name files below
-    ``root``, which has no links in its path.
+    Requests run on the node's thread: other threads call ``do``. Browsers can name files below
+    ``root``, whose path contains no links.
     """
 
     def __init__(self, node: Node, board: Board, root: Path) -> None:
         self._node = node
         self._board = board
         self._news: deque[dict[str, object]] = deque(maxlen=_LINES)
-        self._said = 0
+        self._news_count = 0
         show = lambda report: board.put("robot", asdict(report))  # noqa: E731
         self._operator = Operator(node, self._say, show, board.clock, self._bridges)
         self.library = Library(root)
@@ -78,18 +78,18 @@ class ConsoleService:
         board.put("taken", content=False)
 
     def close(self) -> None:
-        """End what is being made, and let go of the robot in good order."""
+        """Cancel the running job and release the robot."""
         self._jobs.cancel()
         self._operator.hold(None)
         self.library.close()
 
     @property
     def attended(self) -> bool:
-        """Whether somebody drives, and has answered a moment ago."""
+        """Whether a driver has answered recently."""
         return self._board.clock() < self._there_until_s
 
     def do(self, what: Callable[..., None], *arguments: object) -> Future[None]:
-        """Have something done on the node's thread; the future ends when it is. What is wrong with it is told."""
+        """Run a function on the node's thread; errors become news, and the future ends after it."""
         done: Future[None] = Future()
 
         def work() -> None:
@@ -98,7 +98,7 @@ class ConsoleService:
             except (ServiceError, OSError) as error:
                 self._say(str(error))
             finally:
-                with suppress(InvalidStateError):  # nobody waits for it any more
+                with suppress(InvalidStateError):  # The caller has gone.
                     done.set_result(None)
 
         self._asked.put(work)
@@ -112,36 +112,41 @@ class ConsoleService:
         self._operator.poll()
 
     def _say(self, text: str) -> None:
-        self._said += 1
+        self._news_count += 1
         self._news.append(
-            {"number": self._said, "at": round(self._board.clock(), 3), "text": printable(text)}
+            {
+                "number": self._news_count,
+                "at": round(self._board.clock(), 3),
+                "text": printable(text),
+            }
         )
         self._board.put("news", list(self._news))
 
     def hold(self, held: tuple[float, float] | None, sent_s: float) -> None:
-        """Take a sign of life of whoever drives, and what they hold, as of a time of the board's clock."""
-        self._there_until_s = sent_s + LEASE_S  # One may watch by a link that is too slow to drive.
+        """Handle a driver's answer with the held velocity, sent at a time of the board's clock."""
+        # A link that is too slow to drive is enough to watch.
+        self._there_until_s = sent_s + LEASE_S
         if self._board.clock() >= sent_s + LET_GO_S:
             return
         self._operator.beat(sent_s)
         self._operator.hold(None if held is None else Velocity(*held), sent_s + LET_GO_S)
 
     def let_go(self) -> None:
-        """Take note that whoever drives is gone: the robot misses them, and stands."""
+        """Handle the loss of the driver: the robot misses them, and stops."""
         self._there_until_s = -math.inf
         self._operator.hold(None)
 
     def leave(self) -> None:
-        """Take note that whoever drives stands up, and is not to be missed."""
+        """Handle the departure of the driver, whom the robot does not miss."""
         self.let_go()
         self._operator.beat(present=False)
 
     def stop(self) -> None:
-        """Stop for an emergency."""
+        """Trigger the emergency stop."""
         self._operator.stop_for_emergency()
 
     def ask(self, ask: Ask, until_s: float) -> None:
-        """Do what whoever drives asks for, until a time of the board's clock."""
+        """Execute a request of the driver, valid until a time of the board's clock."""
         if self._board.clock() >= until_s:
             raise ServiceError(LATE)
         match ask:
@@ -161,18 +166,18 @@ class ConsoleService:
                 self._learn(ask)
             case Delete():
                 self.library.delete(ask.recording)
-                self._say(f"{ask.recording} is deleted")
+                self._say(f"{ask.recording} deleted")
 
     def make_world(self, name: str, osm_map: IO[bytes]) -> None:
-        """Make a world of a map."""
+        """Start the conversion of a map to a world."""
         if name in str(self.live.health.detail("robot", "worlds")).split(", "):
-            # Of two worlds of one name the robot opens the project's, or the one that it was started in.
-            raise ServiceError(f"there is a world {name} already; give the file another name")
+            # Included worlds and the world of the start take precedence over an equal name.
+            raise ServiceError(f"world {name} already exists; rename the file")
         path = f"/proc/self/fd/{osm_map.fileno()}"
         job = BackgroundJob(
             "world",
             name,
-            doing=f"Making a world of {name}",
+            doing=f"Converting {name} to a world",
             done=f"{name} is a world now: begin a drive in it.",
             arguments=("world", "import", path),
             out=below(self.library.root, f"{WORLDS}/{name}.json"),
@@ -194,7 +199,9 @@ class ConsoleService:
         model = self.library.model(ask.model)
         goal = ask.goal if model.goals else None
         if goal is not None and goal not in model.goals:
-            raise ServiceError(f"{ask.model} has no goal {goal}; it has {', '.join(model.goals)}")
+            raise ServiceError(
+                f"goal {goal} not found in {ask.model}; choose from {', '.join(model.goals)}"
+            )
         request = ResetRequest(
             seed=ask.seed,
             purpose="run",
@@ -208,38 +215,39 @@ class ConsoleService:
 
         def prepare() -> None:
             self._load(model, goal)
-            self._record()  # a person may correct it by hand, which teaches
+            self._record()  # A person can correct the run by hand, which teaches.
 
         self._begin(ask, request, prepare)
 
     def _begin(
         self, ask: DriveRequest | Run, request: ResetRequest, prepare: Callable[[], None]
     ) -> None:
-        """Begin an episode when that is prepared, which may take seconds, and nobody has left meanwhile."""
+        """Begin an episode after its preparation, if the driver is still present."""
 
-        def show_goal(begun: ResetReply) -> None:  # Where the victim lies only a simulator knows.
+        def show_goal(begun: ResetReply) -> None:  # Only simulators have the victim's position.
             goal = None if begun.victim is None else [round(metres, 2) for metres in begun.victim]
             self._board.put("goal", {"episode": begun.episode, "at": goal})
 
-        there = {"world": ask.world, "variation": ask.variation, "mode": "realtime"}
+        place = {"world": ask.world, "variation": ask.variation, "mode": "realtime"}
         self._operator.begin(
-            request.model_copy(update=there), prepare, lambda: self.attended, show_goal
+            request.model_copy(update=place), prepare, lambda: self.attended, show_goal
         )
 
     def _record(self) -> None:
-        """Have the recorder record, unless it does; on a thread that asks."""
+        """Start the recorder unless it records; blocks."""
         bus = self._node.bus
         if bus.call("recorder", "status", Nothing(), Status).detail.get("folder") is None:
             bus.call("recorder", "start", RecordRequest(folder=DRIVES), Nothing)
 
     def _load(self, model: LearnedModel, goal: str | None) -> None:
-        """Have recognition and policy work with a model; on a thread that asks."""
+        """Load a model into recognition and policy; blocks."""
         bus = self._node.bus
-        made = bus.call("features", "status", Nothing(), Status).detail
-        if made.get("fingerprint") != model.fingerprint:
+        features = bus.call("features", "status", Nothing(), Status).detail
+        if features.get("fingerprint") != model.fingerprint:
             raise ServiceError(
-                f"{model.name} was learned on other features than the stack makes ({made.get('modalities')}); "
-                "learn it again, or start the stack with others (smal up --modalities)"
+                f"{model.name}: learned on other features than the stack's "
+                f"({features.get('modalities')}); learn it again, or change the stack's features "
+                "(smal up --modalities)"
             )
         for service in CHAIN:
             bus.call(service, "load", LoadRequest(model=model.name, goal=goal), LoadReply, LOAD_S)
@@ -251,22 +259,20 @@ class ConsoleService:
             if (one := self.library.recording(name)) and not one.useless
         ]
         if len(recordings) != len(ask.recordings):
-            raise ServiceError(
-                "a recording that was chosen is gone, or teaches nothing; choose again"
-            )
+            raise ServiceError("a selected recording is gone or cannot teach; choose again")
         if isinstance(ask, Add):
             model = self.library.model(ask.model)
             name = Path(model.name).stem
             out = self.library.path(model.name)
             command: tuple[str, ...] = ("learn", "--add")
             doing = f"Learning more for {name}"
-            done = f"{name} has looked at these runs."
+            done = f"{name} has learned from these runs."
         else:
             name = ask.name
             out = below(self.library.root, f"{MODELS}/{ask.name}.smal")
             doing = f"Learning {name}"
             done = f"{name} is learned: run it."
-            # Whoever chooses a run of the robot's own wants it to teach.
+            # A selected run of the robot's own is intended for learning.
             runs = ("--include-runs",) if any(one.purpose == "run" for one in recordings) else ()
             command = ("paper", "learn", *runs) if ask.scheme == "paper" else ("learn", *runs)
         paths = (str(self.library.path(one.name)) for one in recordings)
@@ -283,8 +289,8 @@ class ConsoleService:
         self._jobs.begin(job)
 
     def _bridges(self) -> bool:
-        """Whether the robot, which would move alone, is not to miss a browser that stutters; what it held is let go."""
-        # One that moves only while its operator is there hears of none but their own answers, as of their own time.
+        """Whether the console answers for a slow browser, since the robot can move unattended."""
+        # An attended robot needs the operator's own answers, with their own times.
         return self.attended and self.live.health.detail("robot", "attended") is False
 
     def _on_action(self, action: Action) -> None:

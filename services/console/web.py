@@ -1,4 +1,4 @@
-"""What the page is answered: files, pictures, maps that it sends, and two sockets, one to watch and one to drive."""
+"""HTTP and WebSocket endpoints of the page: files, pictures, map uploads, watching, driving."""
 
 import asyncio
 import tempfile
@@ -25,34 +25,34 @@ from services.console.service import ConsoleService
 from services.console.who_drives import BEAT_S, LEASE_S, Seat
 
 PAGE: Final = Path(__file__).parent / "page"
-_APART_S: Final = 0.05  # A watcher is sent something at most so often.
-# Of a socket: too many watch; somebody else drives; it makes no sense.
+_APART_S: Final = 0.05  # Minimum interval of updates to a watcher.
+# WebSocket close codes.
 FULL = 4001
 TAKEN = 4002
 NONSENSE = 4003
-_DIGITS: Final = 9  # Digits of the number of a picture, at most.
-#: Most bytes of a map, as `smal world import` has it; and how long it may take to come: at 2 Mbit/s and more.
+_DIGITS: Final = 9  # Maximum digits of a picture's number.
+#: Maximum bytes of a map, as in `smal world import`, and timeout of its upload (2 Mbit/s or more).
 _LARGEST_MAP: Final = 64 << 20
 _UPLOAD_S: Final = 300
-_NOT_THEIRS: Final = "only who drives may do that: take control first\n"
+_NOT_THEIRS: Final = "permission denied: take control first\n"
 _WORLD_NAME: Final[TypeAdapter[str]] = TypeAdapter(WorldName)
 
 
 class Web:
-    """Answers browsers, in one event loop.
+    """Endpoints for browsers, in one event loop.
 
-    What a person does is done when its future ends, and their browser is heard further then: so nothing waits behind
-    more than one thing that each has said, be it an emergency stop behind a flood.
+    A connection is read again only after its last request has ended. So an emergency stop waits for
+    at most one request of each browser, even in a flood.
     """
 
     def __init__(self, service: ConsoleService, board: Board) -> None:
         self._service = service
         self._board = board
         self._seat = Seat(board.clock)
-        self._maps = 0  # How many maps were begun to be sent.
+        self._maps = 0  # Number of started map uploads.
 
     def application(self) -> Starlette:
-        """Return what answers; without its guard."""
+        """Return the application without access control."""
         return Starlette(
             routes=[
                 Route("/thumbnail", self._thumbnail),
@@ -68,7 +68,7 @@ class Web:
         return asyncio.wrap_future(self._service.do(what, *arguments))
 
     async def _thumbnail(self, request: Request) -> Response:
-        """Answer with a small picture of a recording; its name is looked for in the list, and opens nothing."""
+        """Return a thumbnail of a listed recording; the name does not open files."""
         recording = self._service.library.recording(request.query_params.get("of", ""))
         number = _number(request.query_params.get("k", ""))
         if recording is None or number is None or number >= len(recording.thumbnails):
@@ -83,7 +83,7 @@ class Web:
         return _picture(learned.image(keyframe))
 
     async def _take_map(self, request: Request) -> Response:
-        """Take a map from whoever drives, to make a world of it; what becomes of that is told as a job."""
+        """Receive a map from the driver and start its conversion; the job reports the result."""
         try:
             name = _WORLD_NAME.validate_python(request.query_params.get("name", ""))
         except ValidationError as error:
@@ -91,21 +91,21 @@ class Web:
         if not self._seat.knows(request.headers.get("smal-seat", "")):
             return PlainTextResponse(_NOT_THEIRS, 403)
         try:
-            # It has no name in any folder, and is gone when nobody has it open any more, however they end.
+            # The file has no name, so it is deleted after its last user, however that ends.
             with tempfile.TemporaryFile() as osm_map:
                 async with asyncio.timeout(_UPLOAD_S):
                     await self._receive(request, osm_map)
                 await self._do(self._service.make_world, name, osm_map)
         except TimeoutError:
-            return PlainTextResponse(f"the map took longer than {_UPLOAD_S:g} s\n", 408)
+            return PlainTextResponse(f"timeout: the upload took longer than {_UPLOAD_S:g} s\n", 408)
         except ClientDisconnect as gone:
             raise HTTPException(400) from gone
         except OSError as error:
-            return PlainTextResponse(f"the map cannot be kept: {error.strerror}\n", 507)
+            return PlainTextResponse(f"map not saved: {error.strerror}\n", 507)
         return PlainTextResponse("taken\n", 202)
 
     async def _receive(self, request: Request, file: IO[bytes]) -> None:
-        """Write what is sent into a file, while whoever sends it drives, and has not begun to send another one."""
+        """Write an upload to a file while the sender drives and starts no other upload."""
         self._maps += 1
         mine = self._maps
         size = 0
@@ -114,34 +114,34 @@ class Web:
             if not self._seat.knows(word):
                 raise HTTPException(403, _NOT_THEIRS)
             if mine != self._maps:
-                raise HTTPException(409, "another map was sent after this one\n")
+                raise HTTPException(409, "replaced by a newer upload\n")
             size += len(chunk)
             if size > _LARGEST_MAP:
                 raise HTTPException(
-                    413, f"a map has at most {_LARGEST_MAP / 1e6:.0f} MB; cut it smaller\n"
+                    413, f"map too large (maximum {_LARGEST_MAP / 1e6:.0f} MB); cut it smaller\n"
                 )
             await asyncio.to_thread(file.write, chunk)
         await asyncio.to_thread(file.flush)
 
     async def _watch(self, browser: WebSocket) -> None:
-        """Send the newest, and more when that was seen: at most one message is on its way, however slow that is."""
+        """Send the latest content, at most one unacknowledged update at a time."""
         await browser.accept()
         seen = asyncio.Event()
         seen.set()
 
         async def listen() -> None:
-            async for said in _said(browser):
-                if isinstance(OF_WATCHERS.validate_json(said), StopRequest):
+            async for message in _messages(browser):
+                if isinstance(OF_WATCHERS.validate_json(message), StopRequest):
                     await self._do(self._service.stop)
                 elif seen.is_set():
-                    raise _NonsenseError("there is nothing more to be seen")
+                    raise _NonsenseError("invalid acknowledgement")
                 else:
                     seen.set()
 
         try:
             with self._board.watched() as newest:
 
-                async def tell() -> None:
+                async def send() -> None:
                     while True:
                         text, picture = await newest()
                         seen.clear()
@@ -151,18 +151,18 @@ class Web:
                         await asyncio.sleep(_APART_S)
                         await seen.wait()
 
-                await _until_one_ends(browser, listen(), tell())
+                await _until_one_ends(browser, listen(), send())
         except FullError:
             await browser.close(FULL, "too many watch")
 
     async def _drive(self, browser: WebSocket) -> None:
-        """Give a browser the seat for as long as it answers beats."""
+        """Give a browser the seat while it answers beats."""
         await browser.accept()
         if not self._seat.take(browser):
             await browser.close(TAKEN, "somebody else drives")
             return
         self._board.put("taken", content=True)
-        word = self._seat.word  # later it may be somebody else's
+        word = self._seat.word  # Later the word can be another driver's.
 
         async def beat() -> None:
             await browser.send_json({"word": word})
@@ -176,27 +176,27 @@ class Web:
             self._stand_up(browser, self._service.let_go)
 
     async def _listen(self, browser: WebSocket) -> None:
-        """Do what whoever drives says while they have the seat; of nonsense they are told, which loses no robot."""
-        async for text in _said(browser):
+        """Execute the driver's messages; refuse invalid messages without closing the connection."""
+        async for text in _messages(browser):
             if not self._seat.holds(browser):
                 return
             try:
-                said = OF_DRIVER.validate_json(text)
+                message = OF_DRIVER.validate_json(text)
             except ValidationError as error:
-                # What kind of message it came in means nothing to who asked.
+                # The message's kind is internal.
                 kind = next(iter(error.errors(include_url=False)[0]["loc"]), "")
                 await browser.send_json({"refused": describe(error).removeprefix(f"{kind}.")})
                 continue
-            if isinstance(said, Hold):
-                if (sent_s := self._seat.answered(said.beat)) is not None:
-                    await self._do(self._service.hold, said.held, sent_s)
-            elif isinstance(said, Leave):
+            if isinstance(message, Hold):
+                if (sent_s := self._seat.answered(message.beat)) is not None:
+                    await self._do(self._service.hold, message.held, sent_s)
+            elif isinstance(message, Leave):
                 self._stand_up(browser, self._service.leave)
                 return
-            elif isinstance(said, StopRequest):
+            elif isinstance(message, StopRequest):
                 await self._do(self._service.stop)
-            elif (sent_s := self._seat.answered(said.beat)) is not None:
-                await self._do(self._service.ask, said, sent_s + LEASE_S)
+            elif (sent_s := self._seat.answered(message.beat)) is not None:
+                await self._do(self._service.ask, message, sent_s + LEASE_S)
             else:
                 await browser.send_json({"refused": LATE})
 
@@ -208,17 +208,17 @@ class Web:
 
 
 class _NonsenseError(Exception):
-    """A browser says what is no answer to what it was sent."""
+    """A browser acknowledged an update that was not sent."""
 
 
-async def _said(browser: WebSocket) -> AsyncIterator[str]:
-    """Give what a browser says until it is gone; bytes say nothing."""
+async def _messages(browser: WebSocket) -> AsyncIterator[str]:
+    """Yield the messages of a browser; binary messages count as empty."""
     while (message := await browser.receive())["type"] != "websocket.disconnect":
         yield message.get("text") or ""
 
 
 async def _until_one_ends(browser: WebSocket, *tasks: Coroutine[Any, Any, None]) -> None:
-    """Run what talks to a browser, until it is gone, nothing more is to be said, or it says what it may not."""
+    """Run the tasks of a connection until one ends, the browser leaves, or a message is invalid."""
     running = [asyncio.ensure_future(task) for task in tasks]
     try:
         await asyncio.wait(running, return_when=asyncio.FIRST_COMPLETED)
@@ -230,7 +230,7 @@ async def _until_one_ends(browser: WebSocket, *tasks: Coroutine[Any, Any, None])
         with suppress(RuntimeError, WebSocketDisconnect):
             await browser.close(NONSENSE, why[:100])
     except (WebSocketDisconnect, RuntimeError):
-        return  # it went away while it was being sent something
+        return  # The browser left during a send.
     finally:
         for task in running:
             task.cancel()
@@ -246,8 +246,8 @@ def _number(digits: str) -> int | None:
 
 def _picture(jpeg: bytes | None) -> Response:
     if jpeg is None:
-        return PlainTextResponse("no such picture\n", 404)
-    # What a name or a number stands for does not change while the page is open.
+        return PlainTextResponse("picture not found\n", 404)
+    # Names and numbers keep their meaning while the page is open.
     return Response(
         jpeg, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=3600"}
     )

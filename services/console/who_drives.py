@@ -1,8 +1,8 @@
-"""Who drives: one browser at a time, and only while it answers in time.
+"""Assignment of the driver: one browser at a time, while it answers in time.
 
-The console sends a beat 20 times a second, and the browser answers each with what is held. An answer says something
-of the moment when its beat was sent, and of no later one: what a sleeping laptop or a slow link delivers late moves
-nothing, as the robot's gate has it for commands.
+The console sends 20 beats a second, and the browser answers each with its held keys. An answer is
+valid for the time when its beat was sent. Answers that a sleeping laptop or a slow link delivers
+late therefore do not move the robot, as in the robot's gate for commands.
 """
 
 import hmac
@@ -12,21 +12,21 @@ from typing import Final
 
 from services.robot.clock import PULSE_S, now_s
 
-BEAT_S: Final = PULSE_S  # How often a browser has to answer: as often as the operator of a robot.
-LET_GO_S: Final = 0.25  # Time after its beat was sent when an answer counts no more, and when what was held is let go.
-#: Silence after which somebody else may take the seat, and a robot that would move alone misses who had it. What is
-#: asked for counts as long: later it may be somebody else's turn.
+BEAT_S: Final = PULSE_S  # Beat interval, equal to the operator's pulse.
+# Validity of an answer after its beat was sent; then held keys count as released.
+LET_GO_S: Final = 0.25
+#: Silence after which another browser can take the seat, and after which an unattended robot misses
+#: its driver. Requests expire as well, since the seat can change.
 LEASE_S: Final = 1.0
-_KEPT: Final = round(
-    LEASE_S / BEAT_S
-)  # Beats in flight that are remembered; an answer to an older one is late anyway.
+# Number of remembered beats; older answers are late anyway.
+_KEPT: Final = round(LEASE_S / BEAT_S)
 
 
 class Seat:
-    """The one place from which the robot is driven; of one thread."""
+    """The driver's seat, for one thread."""
 
     def __init__(self, clock: Callable[[], float] = now_s) -> None:
-        self.word = ""  # What only who has the seat is told, to show with what comes another way.
+        self.word = ""  # Secret of the current driver, for requests outside the WebSocket.
         self._clock = clock
         self._sitter: object | None = None
         self._heard_s = 0.0
@@ -34,7 +34,7 @@ class Seat:
         self._sent_s: dict[int, float] = {}
 
     def take(self, who: object) -> bool:
-        """Sit down, unless somebody else is there."""
+        """Take the seat if it is free; return whether it was."""
         now = self._clock()
         if self._sitter is not None and now - self._heard_s <= LEASE_S:
             return False
@@ -45,27 +45,27 @@ class Seat:
         return True
 
     def holds(self, who: object) -> bool:
-        """Whether this one has the seat."""
+        """Return whether a browser has the seat."""
         return self._sitter is who
 
     def knows(self, word: str) -> bool:
-        """Whether a word is that of whoever has the seat now."""
+        """Return whether a word is the current driver's secret."""
         return self._sitter is not None and hmac.compare_digest(word.encode(), self.word.encode())
 
     def leave(self, who: object) -> None:
-        """Stand up."""
+        """Leave the seat."""
         if self._sitter is who:
             self._sitter = None
 
     def beat(self) -> int:
-        """Return the number of the beat that is sent now."""
+        """Return the number of the next beat."""
         self._beat += 1
         self._sent_s[self._beat] = self._clock()
         self._sent_s.pop(self._beat - _KEPT, None)
         return self._beat
 
     def answered(self, beat: int) -> float | None:
-        """Return when a beat was sent that is answered now; None where it is too old, or there was no such beat."""
+        """Return the send time of an answered beat; None if it is unknown or too old."""
         now = self._clock()
         sent_s = self._sent_s.get(beat)
         if sent_s is None:

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from smal.evaluation.precision_recall import PrecisionRecall
 from smal.evaluation.reliability import Reliability
 
 _P = ParamSpec("_P")
@@ -69,13 +70,20 @@ def look_at(
     axes.set_ylim(max(y_min, middle[1] - half_m), min(y_max, middle[1] + half_m))
 
 
-def draw_reliability(axes: Axes, reliability: Reliability) -> None:
-    """Draw how often answers are right over what they say: the larger a point, the more answers it stands for."""
+def draw_curve(axes: Axes, curve: PrecisionRecall, **style: Any) -> None:  # noqa: ANN401
+    """Draw precision over recall in steps, as the area counts them; without an answer there is no curve."""
+    recall = np.concatenate([np.zeros(min(1, curve.recall.size)), curve.recall])
+    precision = np.concatenate([curve.precision[:1], curve.precision])
+    axes.step(recall, precision, where="pre", **style)
+    axes.set(xlabel="recall", ylabel="precision")
+
+
+def draw_reliability(axes: Axes, reliability: Reliability, **style: Any) -> None:  # noqa: ANN401
+    """Draw the share of right answers over their score; the larger a point, the more answers it stands for."""
     axes.plot([0.0, 1.0], [0.0, 1.0], color=MUTED, lw=1)
     sizes = 20.0 + 300.0 * reliability.count / max(int(reliability.count.sum()), 1)
-    axes.scatter(
-        reliability.said, reliability.right, s=sizes, color=COLOURS[0], clip_on=False, zorder=3
-    )
+    usual: dict[str, Any] = {"color": COLOURS[0], "clip_on": False, "zorder": 3}
+    axes.scatter(reliability.said, reliability.right, sizes, **usual | style)
     axes.set(
         xlim=(0.0, 1.02),
         ylim=(0.0, 1.02),

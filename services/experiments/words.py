@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import Protocol
+from typing import Any
 
 
 def counted(count: int, what: str) -> str:
@@ -11,43 +11,26 @@ def counted(count: int, what: str) -> str:
     return f"{count:,} {what}{'s' * (count != 1)}"
 
 
-class _Run(Protocol):
-    """A run, or what is asked for: what of it may be other than it was taught."""
-
-    @property
-    def start(self) -> str: ...
-    @property
-    def kidnap_tick(self) -> int | None: ...
-    @property
-    def victim(self) -> str: ...
-    @property
-    def obstacles(self) -> int: ...
-    @property
-    def people(self) -> int: ...
-    @property
-    def blocked(self) -> bool: ...
-
-
-def condition(run: _Run, more: Mapping[str, object] = MappingProxyType({})) -> str:
-    """Return what is special about a run, in a few words; ``more`` are others, each with whether it holds."""
-    said = dict(more) | {
-        "from anywhere": run.start == "anywhere",
-        "kidnapped": run.kidnap_tick,
-        f"victim {run.victim}": run.victim != "there",
-        counted(run.obstacles, "obstacle"): run.obstacles,
-        f"{run.people} people": run.people,
-        "blocked": run.blocked,
+def condition(run: Mapping[str, Any], more: Mapping[str, object] = MappingProxyType({})) -> str:
+    """Return how a run, the fields of a request or a trial, differs from teaching; ``more`` are other differences."""
+    differences = dict(more) | {
+        "from anywhere": run["start"] == "anywhere",
+        "kidnapped": run["kidnap_tick"],
+        f"victim {run['victim']}": run["victim"] != "there",
+        counted(run["obstacles"], "obstacle"): run["obstacles"],
+        f"{run['people']} people": run["people"],
+        "blocked": run["blocked"],
     }
-    return ", ".join(name for name, holds in said.items() if holds) or "as taught"
+    return ", ".join(name for name, holds in differences.items() if holds) or "as taught"
 
 
 def listed(names: Sequence[str]) -> str:
-    """Name ten of them, and say how many more there are."""
+    """Return the first ten names, and how many more there are."""
     return ", ".join(names[:10]) + (f" and {len(names) - 10} more" if len(names) > 10 else "")
 
 
 def remark(lines: Iterable[object]) -> None:
-    """Say something on standard error, a line each."""
+    """Write lines to standard error."""
     sys.stderr.writelines(f"smal: {line}\n" for line in lines)
 
 

@@ -1,4 +1,4 @@
-"""Scripted expert: chooses one of the four keys by the robot's pose and route."""
+"""The scripted expert: the key to hold, by the true pose and the route."""
 
 import math
 from collections.abc import Sequence
@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from schemas.base import KEYS, Atom, Velocity
 from schemas.command import Command
-from schemas.motion import Pose
-from schemas.observation import Observation
+from schemas.motion import TruePose
 from schemas.rpc import ResetReply
 from services.kit.errors import JobError
 
@@ -91,55 +90,34 @@ class RouteDriver:
 
 
 class ExpertService:
-    """Commands once for every frame, after that frame has passed the features service.
+    """Commands once for every frame.
 
-    After its arrival it sends no command: the client ends the episode, and a concurrent command
-    makes the number of its frames random. Waiting for the observation keeps a lockstep
-    demonstration from outrunning its recording.
+    After its arrival the expert sends no command: the client ends the episode, and the number of
+    frames must not depend on which of the two comes first.
     """
 
     def __init__(self) -> None:
         self._episode = ""
         self._driver: RouteDriver | None = None
-        self._pose: Pose | None = None
-        self._observation: Observation | None = None
         self._last: Command | None = None
         self.arrived = False
 
     def begin(self, reset: ResetReply) -> None:
-        """Start the route of an episode; JobError if the way is unknown."""
+        """Start on the route of an episode; raises JobError if the world has no known route."""
         if reset.found_m is None or len(reset.route) < 2:
             raise JobError(
-                f"{reset.world}: unknown way to the goal; demonstrate it by hand with smal teleop"
+                f"{reset.world}: no known route to the goal; demonstrate it with smal teleop"
             )
         self._episode = reset.episode
         self._driver = RouteDriver(reset.route, reset.speed_m_s, reset.found_m, car=reset.car)
-        self._pose = self._observation = None
         self._last = None
         self.arrived = False
 
-    def see(self, pose: Pose) -> Command | None:
-        """Take the pose of a frame; its two topics can arrive in either order."""
-        self._pose = pose
-        return self._answer()
-
-    def handle(self, observation: Observation) -> Command | None:
-        """Take the observation of a frame; return the command once its pose is known."""
-        self._observation = observation
-        return self._answer()
-
-    def _answer(self) -> Command | None:
-        pose = self._pose
-        observation = self._observation
-        if pose is None or observation is None or self._driver is None or self.arrived:
-            return None
-        if (pose.episode, pose.tick) != (
-            observation.episode,
-            observation.tick,
-        ) or pose.episode != self._episode:
+    def handle(self, pose: TruePose) -> Command | None:
+        """Return the command for the frame of this true pose; a frame sent again gets it again."""
+        if self._driver is None or self.arrived or pose.episode != self._episode:
             return None
         if self._last is None or self._last.tick != pose.tick:
-            # Otherwise the simulator asked again after a lost command: repeat the answer.
             self.arrived = self._driver.arrived(pose.x_m, pose.y_m)
             if self.arrived:
                 return None

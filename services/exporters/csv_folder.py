@@ -1,4 +1,4 @@
-"""A folder of images with a ``drive.csv``, as ``smal import folder`` reads it; images are copied to the byte."""
+"""A folder of images with a ``drive.csv``, as ``smal import folder`` reads it."""
 
 import csv
 from collections.abc import Callable, Sequence
@@ -12,7 +12,7 @@ from services.importers.drive import Tally
 def write(
     drives: Sequence[ExportedDrive], folder: Path, tally: Tally, advance: Callable[[], None]
 ) -> None:
-    """Write all drives into one folder, the images of each into a folder of its own."""
+    """Write all drives into one folder, the images of each into its own subfolder."""
     say_view(drives, tally)
     with (folder / NAME).open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
@@ -23,15 +23,6 @@ def write(
                 image = f"{drive.name}/{moment.tick:06d}.jpg"
                 (folder / image).write_bytes(jpeg)
                 seconds, rest_ns = divmod(moment.stamp_ns, 1_000_000_000)
-                pose = moment.pose
-                way = ("", "", "") if pose is None else (pose.x_m, pose.y_m, pose.heading_rad)
-                table.writerow(
-                    [
-                        drive.name,
-                        image,
-                        f"{seconds}.{rest_ns:09d}",
-                        *velocity,
-                        int(drive.success),
-                        *way,
-                    ]
-                )
+                time_s = f"{seconds}.{rest_ns:09d}"
+                way = moment.wheels or ("", "", "")
+                table.writerow([drive.name, image, time_s, *velocity, int(drive.success), *way])

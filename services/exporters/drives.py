@@ -1,7 +1,8 @@
-"""Recorded episodes as drives that any format can be written from: images, poses by the wheels, velocities."""
+"""Recorded episodes as drives for export: images, poses by the wheels, velocities."""
 
 import importlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -26,7 +27,7 @@ from services.recordings.stream import RecordingError
 from smal.movement import Movement
 
 _DIGITS: Final = 6  # Of velocities: a micrometre and a microradian a second.
-#: What the modules of this package that write a format are called; each has ``write(drives, folder, tally, advance)``.
+#: Modules of this package that write a format, by ``write(drives, folder, tally, advance)``.
 _WRITERS: Final[dict[Format, str]] = {
     "rosbag2": "rosbag2",
     "lerobot": "lerobot",
@@ -36,24 +37,24 @@ FORMATS: Final = tuple(_WRITERS)
 
 
 class Rate(NamedTuple):
-    """How fast a robot does an atom at full speed, metres or radians a second, and who says so."""
+    """Full speed of an atom, metres or radians a second, and the origin of the figure."""
 
     value: float
     origin: str
 
 
 class NominalSpeeds(NamedTuple):
-    """How fast a robot's atoms are at full speed: forward and backward, and the turns."""
+    """Full speed of a robot: forward and backward, and in turns."""
 
     speed: Rate
     turn_rate: Rate
 
 
 class Moment(NamedTuple):
-    """What a drive has at one tick; None where that is missing, damaged or not known.
+    """One tick of a drive; None stands for what is missing, damaged or unknown.
 
-    The image is as it was recorded; the velocity, linear and angular, is what was done from then on, the pose by the
-    wheels, and the inertial unit felt this since the tick before.
+    The image is as recorded. The velocity, linear and angular, holds from this tick on; the pose is
+    by the wheels; the readings of the inertial unit are those since the tick before.
     """
 
     tick: int
@@ -63,10 +64,16 @@ class Moment(NamedTuple):
     pose: Odometry | None
     imu: Imu | None
 
+    @property
+    def wheels(self) -> tuple[float, float, float] | None:
+        """Pose by the wheels: x and y in metres, heading in radians."""
+        pose = self.pose
+        return None if pose is None else (pose.x_m, pose.y_m, pose.heading_rad)
+
 
 @dataclass(frozen=True, eq=False)
 class ExportedDrive:
-    """One episode, to be exported; its name is that of a file, other than that of every other drive."""
+    """One episode to export, with a unique name for files."""
 
     name: str
     episode: RecordedEpisode
@@ -79,13 +86,13 @@ class ExportedDrive:
 
     @property
     def ticks(self) -> list[int]:
-        """Those that anything is known of."""
+        """All ticks with an image, a pose or a command."""
         return sorted(
             self.episode.images.keys() | self.episode.odometry.keys() | self.episode.applied.keys()
         )
 
     def moments(self, tally: Tally, advance: Callable[[], None]) -> Iterator[Moment]:
-        """Yield what there is at each tick, and count what cannot be used; ``advance`` is called for each."""
+        """Yield each tick, and count what cannot be used; ``advance`` is called for each."""
         poses = self.episode.odometry
         imus = self.episode.imu
         applied = self.episode.applied
@@ -93,7 +100,7 @@ class ExportedDrive:
         for tick in self.ticks:
             advance()
             stamp_ns, jpeg = self._image(tick, tally)
-            # What descends from a frame has its stamp.
+            # Messages about a frame have its stamp.
             stamp_ns = next(
                 (one[tick].stamp_ns for one in (poses, applied) if tick in one), stamp_ns
             )
@@ -108,7 +115,7 @@ class ExportedDrive:
     def usable(
         self, tally: Tally, advance: Callable[[], None]
     ) -> Iterator[tuple[Moment, bytes, tuple[float, float]]]:
-        """Yield the moments that have an image and tell what was done then, with both; count the others."""
+        """Yield the moments with an image and a velocity, with both; count the others."""
         for moment in self.moments(tally, advance):
             if moment.jpeg is not None and moment.velocity is not None:
                 yield moment, moment.jpeg, moment.velocity
@@ -119,13 +126,12 @@ class ExportedDrive:
         if tick not in self.episode.images:
             tally.count("ticks have no image")
             return -1, None
-        try:
+        with suppress(ValueError):
             stamp_ns, jpeg = stamped_jpeg(bytes(self.episode.images[tick]))
-        except ValueError:
-            stamp_ns = -1
-            jpeg = b""
-        tally.count("images are damaged", int(not is_jpeg(jpeg)))
-        return stamp_ns, jpeg if is_jpeg(jpeg) else None
+            if is_jpeg(jpeg):
+                return stamp_ns, jpeg
+        tally.count("images are damaged")
+        return -1, None
 
     def _velocity(self, tick: int) -> tuple[float, float] | None:
         # At its end the robot stands.
@@ -134,16 +140,15 @@ class ExportedDrive:
         applied = self.episode.applied.get(tick)
         if applied is None:
             return None
-        linear, angular = applied.velocity
-        return round(self.nominal.speed.value * linear, _DIGITS), round(
-            self.nominal.turn_rate.value * angular, _DIGITS
-        )
+        speed_m_s = self.nominal.speed.value * applied.linear
+        turn_rad_s = self.nominal.turn_rate.value * applied.angular
+        return round(speed_m_s, _DIGITS), round(turn_rad_s, _DIGITS)
 
 
 def read(
     files: Iterable[Path], speed: float | None, turn_rate: float | None, tally: Tally
 ) -> list[ExportedDrive]:
-    """Read recordings, with speeds of atoms as given, m/s and rad/s, or by odometry; JobError where none is known."""
+    """Read recordings, with speeds of atoms as given (m/s, rad/s) or by odometry; else JobError."""
     episodes = list(_episodes(files, tally))
     if not episodes:
         raise JobError(
@@ -176,14 +181,17 @@ def write(
     tally: Tally,
     advance: Callable[[], None] = lambda: None,
 ) -> None:
-    """Write drives into an empty folder, ``advance`` for each tick; JobError when they do not fit the format."""
+    """Write drives into an empty folder; JobError if they do not fit the format.
+
+    ``advance`` is called for each tick.
+    """
     importlib.import_module(f"services.exporters.{_WRITERS[form]}").write(
         drives, folder, tally, advance
     )
 
 
 def say_view(drives: Iterable[ExportedDrive], tally: Tally) -> None:
-    """Say how the cameras see, for a format that has no place for it."""
+    """Report the fields of view, for a format that has no place for them."""
     for camera in (drive.episode.camera for drive in drives):
         if camera is not None:
             angle = camera_of(camera).field_deg
@@ -197,7 +205,7 @@ def _episodes(files: Iterable[Path], tally: Tally) -> Iterator[RecordedEpisode]:
     seen: dict[tuple[str, str], Path] = {}
     for path in files:
         try:
-            recording = read_recording(path, None, allowance, topics=(*USUAL, IMU))
+            recording = read_recording(path, allowance, (*USUAL, IMU))
         except RecordingError as error:
             tally.say(str(error))
             continue
@@ -219,24 +227,33 @@ def _rate(
     option: str,
     atoms: tuple[Atom, Atom],
 ) -> Rate:
-    """Return the rate that the user gives, or else the median over all ticks of these atoms, as learning has it."""
+    """Return the given rate, or the median over all ticks of these atoms, as learning has it."""
     if given is not None:
         return Rate(given, f"as {option} says")
-    steps: list[float] = []
-    made: list[tuple[RecordedEpisode, CommandApplied]] = []
-    for episode in episodes:
-        for tick, applied in episode.applied.items():
-            if applied.atom not in atoms:
-                continue
-            made.append((episode, applied))
-            share = abs(applied.linear if "forward" in atoms else applied.angular)
-            if share > 0.0 and tick in episode.odometry and tick + 1 in episode.odometry:
-                moved = Movement.between(episode.wheels(tick), episode.wheels(tick + 1))
-                steps.append(abs(moved.ahead if "forward" in atoms else moved.turn_rad) / share)
+    made = [
+        (episode, tick, applied)
+        for episode in episodes
+        for tick, applied in episode.applied.items()
+        if applied.atom in atoms
+    ]
+    if not made:
+        return Rate(0.0, "never done")
+    steps = [step for each in made if (step := _step(*each)) is not None]
     rate = round(float(np.median(steps)) / TICK_S, _DIGITS) if steps else 0.0
-    if rate > 0.0 or not made:
-        return Rate(rate, "by its odometry" if made else "never done")
-    episode, applied = made[0]
+    if rate > 0.0:
+        return Rate(rate, "by its odometry")
+    episode, _, applied = made[0]
     raise JobError(
-        f"episode {episode.episode}: no odometry says how fast {applied.atom} is; say it with {option}"
+        f"episode {episode.episode}: no odometry says how fast {applied.atom} is; "
+        f"say it with {option}"
     )
+
+
+def _step(episode: RecordedEpisode, tick: int, applied: CommandApplied) -> float | None:
+    """Return how far the robot went, or turned, in a tick at full speed; None if unknown."""
+    ahead = applied.atom in ("forward", "backward")
+    share = abs(applied.linear if ahead else applied.angular)
+    if share == 0.0 or not {tick, tick + 1} <= episode.odometry.keys():
+        return None
+    moved = Movement.between(episode.wheels(tick), episode.wheels(tick + 1))
+    return abs(moved.ahead if ahead else moved.turn_rad) / share

@@ -1,4 +1,4 @@
-"""LeRobotDataset v3.0, as lerobot 0.4 reads it: where a tick is missing, an episode ends and another begins."""
+"""LeRobotDataset v3.0, as lerobot 0.4 reads it: a missing tick ends an episode."""
 
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.exporters.drives import ExportedDrive, say_view
+from services.exporters.drives import ExportedDrive, Moment, say_view
 from services.importers.drive import Tally
 from services.importers.lerobot import (
     ACTION,
@@ -64,7 +64,7 @@ Statistics = dict[str, list[Any]]
 
 
 class _Frame(NamedTuple):
-    """A row, without what its place in the table says."""
+    """A row of the table, without its indices."""
 
     action: tuple[float, float]
     pose: tuple[float, float, float] | None
@@ -73,7 +73,7 @@ class _Frame(NamedTuple):
 
 @dataclass
 class _Episode:
-    """A piece of a drive without gaps, and how often each value is in each channel of its images, (3, 256)."""
+    """A piece of a drive without gaps, and the histogram of its images by channel, (3, 256)."""
 
     task: str
     frames: list[_Frame] = field(default_factory=list)
@@ -123,11 +123,25 @@ def _place(episode: int) -> dict[str, int]:
 def _usable(
     drives: Sequence[ExportedDrive], tally: Tally, advance: Callable[[], None]
 ) -> Iterator[tuple[int, str, _Frame, Pixels]]:
-    """Yield the ticks that can be in the data set: the episode that each is in, its goal, its row and its image."""
-    size: tuple[int, ...] | None = None
+    """Yield the ticks of the data set: number of the episode, goal, row and image."""
     episode = -1
+    last: tuple[ExportedDrive, int] | None = None
+    for drive, moment, velocity, pixels in _of_one_size(drives, tally, advance):
+        if last != (drive, moment.tick - 1):
+            episode += 1
+            is_gap = last is not None and last[0] == drive
+            tally.count("gaps are the end of an episode and the beginning of another", int(is_gap))
+        last = drive, moment.tick
+        arrived = drive.success and moment.tick == drive.episode.end_tick
+        yield episode, drive.episode.goal, _Frame(velocity, moment.wheels, arrived), pixels
+
+
+def _of_one_size(
+    drives: Sequence[ExportedDrive], tally: Tally, advance: Callable[[], None]
+) -> Iterator[tuple[ExportedDrive, Moment, tuple[float, float], Pixels]]:
+    """Yield the moments whose image has the size of the first, with velocity and pixels."""
+    size: tuple[int, ...] | None = None
     for drive in drives:
-        last: int | None = None
         for moment, jpeg, velocity in drive.usable(tally, advance):
             try:
                 pixels = decode_jpeg(jpeg)
@@ -135,23 +149,10 @@ def _usable(
                 tally.count("images are damaged")
                 continue
             size = size or pixels.shape
-            if pixels.shape != size:
+            if pixels.shape == size:
+                yield drive, moment, velocity, pixels
+            else:
                 tally.count("images have another size than the first, and are left out")
-                continue
-            if last is None or moment.tick != last + 1:
-                episode += 1
-                tally.count(
-                    "gaps are the end of an episode and the beginning of another",
-                    int(last is not None),
-                )
-            last = moment.tick
-            way = (
-                None
-                if moment.pose is None
-                else (moment.pose.x_m, moment.pose.y_m, moment.pose.heading_rad)
-            )
-            arrived = drive.success and moment.tick == drive.episode.end_tick
-            yield episode, drive.episode.goal, _Frame(velocity, way, arrived), pixels
 
 
 @contextmanager
@@ -278,13 +279,13 @@ def _info(
 def _statistics(
     columns: dict[str, NDArray[Any]], rows: slice, episodes: list[_Episode]
 ) -> dict[str, Statistics]:
-    """Return what a data set says of the values of each feature, for those who normalize them."""
+    """Return the statistics of each feature, for normalization."""
     images = sum((episode.counts for episode in episodes), np.zeros((3, 256), np.int64))
     found = {CAMERA: _of_images(images, sum(len(episode.frames) for episode in episodes))}
     for key, values in columns.items():
         part = values[rows].reshape(len(values[rows]), -1)
         exact = part.astype(np.float64)
-        # The extremes are of their own type, as lerobot has it.
+        # As in lerobot, extremes keep the type of the values.
         made = {
             "min": part.min(axis=0),
             "max": part.max(axis=0),
@@ -297,7 +298,7 @@ def _statistics(
 
 
 def _of_images(counts: NDArray[np.int64], images: int) -> Statistics:
-    """Return the statistics of images from the sum of their histograms; values are from 0 to 1, each (3, 1, 1)."""
+    """Return the statistics of images by their summed histograms; values of 0 to 1, (3, 1, 1)."""
     levels = np.arange(256) / 255.0
     below = np.cumsum(counts, axis=1) / counts.sum(axis=1, keepdims=True)
     shares = np.diff(below, axis=1, prepend=0.0)
@@ -320,7 +321,7 @@ def _of_images(counts: NDArray[np.int64], images: int) -> Statistics:
 
 
 def _cells(values: NDArray[Any]) -> Any:  # noqa: ANN401 - of a package without types
-    """Return a column; a cell is a number or a list of as many numbers each."""
+    """Return a column; a cell is a number or a list of numbers."""
     import pyarrow as pa  # noqa: PLC0415 - as above
 
     flat = pa.array(values.ravel())

@@ -1,7 +1,7 @@
-"""Bags of ROS 2 as ``ros2 bag record -s mcap`` writes them, one for each drive; images are copied to the byte.
+"""Bags of ROS 2 as ``ros2 bag record -s mcap`` writes them, one for each drive.
 
-Frames are those of REP 105: ``odom`` is where the episode began, ``base_link`` the robot. Where the camera sits was not
-recorded: it is drawn at ``base_link`` and looks ahead, as all of our robots' do.
+Frames are those of REP 105: ``odom`` is the start of the episode, ``base_link`` the robot. Recordings
+have no mount of the camera: it is drawn at ``base_link`` and looks ahead, as those of our robots.
 """
 
 import math
@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from schemas.camera import CameraInfo
+from schemas.motion import Imu, Odometry
 from services.exporters.drives import ExportedDrive
 from services.importers import rosbag2 as names
 from services.importers.drive import Tally
@@ -25,18 +26,12 @@ _ODOM = "odom"
 _BASE = "base_link"
 _CAMERA = "camera_optical_frame"
 _LATEST_NS: Final = 2**31 * 1_000_000_000  # ROS has seconds since 1970 in 31 bits.
-_OPTICAL: Final = {
-    "x": -0.5,
-    "y": 0.5,
-    "z": -0.5,
-    "w": 0.5,
-}  # Robot (ahead, left, up) to camera (right, down, ahead).
-_COEFFICIENTS: Final = {
-    "plumb_bob": 5,
-    "rational_polynomial": 8,
-    "equidistant": 4,
-}  # Of each lens, as ROS has it.
+#: Robot (ahead, left, up) to camera (right, down, ahead).
+_OPTICAL: Final = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}
+#: Of each lens, as ROS has it.
+_COEFFICIENTS: Final = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}
 Fields = dict[str, Any]
+Said = tuple[str, str, int, Fields]  # Topic, type, stamp in nanoseconds, and fields of a message.
 
 
 def write(
@@ -67,55 +62,61 @@ def write(
         )
 
 
-def _said(
-    drive: ExportedDrive, tally: Tally, advance: Callable[[], None]
-) -> Iterator[tuple[str, str, int, Fields]]:
+def _said(drive: ExportedDrive, tally: Tally, advance: Callable[[], None]) -> Iterator[Said]:
+    """Yield topic, type, stamp and fields of each message."""
     began_ns: int | None = None
     for moment in drive.moments(tally, advance):
         stamp_ns = moment.stamp_ns
         if began_ns is None:
             began_ns = stamp_ns - round(moment.tick * TICK_S * 1e9)
             yield "/tf_static", _TF, stamp_ns, _transforms(stamp_ns, (_BASE, _CAMERA), {}, _OPTICAL)
-        for sample in moment.imu.samples if moment.imu else ():
-            at_ns = began_ns + round(sample.after_s * 1e9)
-            vectors = (sample.angular_velocity_rad_s, sample.acceleration_m_s2)
-            turning, push = (dict(zip("xyz", vector, strict=True)) for vector in vectors)
-            # The orientation was not measured.
-            absent = {
-                "orientation": {"w": 1.0},
-                "orientation_covariance": np.array([-1.0, *[0.0] * 8]),
-            }
-            felt = {
-                "header": _header(at_ns, _BASE),
-                "angular_velocity": turning,
-                "linear_acceleration": push,
-            }
-            yield "/imu", _IMU, at_ns, felt | absent
-        if (pose := moment.pose) is not None:
-            place = {"x": pose.x_m, "y": pose.y_m}
-            turn = {"z": math.sin(pose.heading_rad / 2.0), "w": math.cos(pose.heading_rad / 2.0)}
-            odometry = {
-                "header": _header(stamp_ns, _ODOM), "child_frame_id": _BASE,
-                "pose": {"pose": {"position": place, "orientation": turn}},
-                "twist": {"twist": _twist(pose.speed_m_s, pose.turn_rate_rad_s)},
-            }  # fmt: skip
-            yield "/odom", names.ODOMETRY, stamp_ns, odometry
-            yield "/tf", _TF, stamp_ns, _transforms(stamp_ns, (_ODOM, _BASE), place, turn)
+        if moment.imu is not None:
+            yield from _felt(moment.imu, began_ns)
+        if moment.pose is not None:
+            yield from _moved(moment.pose, stamp_ns)
         if moment.jpeg is not None:
-            header = _header(stamp_ns, _CAMERA)
-            data = np.frombuffer(moment.jpeg, np.uint8)
-            image = {"header": header, "format": "jpeg", "data": data}
-            yield "/camera/image_raw/compressed", names.COMPRESSED, stamp_ns, image
-            if drive.episode.camera is not None:
-                yield (
-                    "/camera/camera_info",
-                    names.INFO,
-                    stamp_ns,
-                    {"header": header, **_sees(drive.episode.camera)},
-                )
+            yield from _seen(moment.jpeg, drive.episode.camera, stamp_ns)
         if moment.velocity is not None:
             command = {"header": _header(stamp_ns, _BASE), "twist": _twist(*moment.velocity)}
             yield "/cmd_vel", names.STAMPED, stamp_ns, command
+
+
+def _felt(imu: Imu, began_ns: int) -> Iterator[Said]:
+    for sample in imu.samples:
+        at_ns = began_ns + round(sample.after_s * 1e9)
+        vectors = (sample.angular_velocity_rad_s, sample.acceleration_m_s2)
+        turning, push = (dict(zip("xyz", vector, strict=True)) for vector in vectors)
+        felt = {
+            "header": _header(at_ns, _BASE),
+            "angular_velocity": turning,
+            "linear_acceleration": push,
+            # The orientation was not measured.
+            "orientation": {"w": 1.0},
+            "orientation_covariance": np.array([-1.0, *[0.0] * 8]),
+        }
+        yield "/imu", _IMU, at_ns, felt
+
+
+def _moved(pose: Odometry, stamp_ns: int) -> Iterator[Said]:
+    place = {"x": pose.x_m, "y": pose.y_m}
+    turn = {"z": math.sin(pose.heading_rad / 2.0), "w": math.cos(pose.heading_rad / 2.0)}
+    odometry = {
+        "header": _header(stamp_ns, _ODOM),
+        "child_frame_id": _BASE,
+        "pose": {"pose": {"position": place, "orientation": turn}},
+        "twist": {"twist": _twist(pose.speed_m_s, pose.turn_rate_rad_s)},
+    }
+    yield "/odom", names.ODOMETRY, stamp_ns, odometry
+    yield "/tf", _TF, stamp_ns, _transforms(stamp_ns, (_ODOM, _BASE), place, turn)
+
+
+def _seen(jpeg: bytes, camera: CameraInfo | None, stamp_ns: int) -> Iterator[Said]:
+    header = _header(stamp_ns, _CAMERA)
+    image = {"header": header, "format": "jpeg", "data": np.frombuffer(jpeg, np.uint8)}
+    yield "/camera/image_raw/compressed", names.COMPRESSED, stamp_ns, image
+    if camera is not None:
+        info = {"header": header, **_sees(camera)}
+        yield "/camera/camera_info", names.INFO, stamp_ns, info
 
 
 def _sees(camera: CameraInfo) -> Fields:
@@ -152,7 +153,7 @@ def _header(stamp_ns: int, frame: str) -> Fields:
 
 
 def _latched() -> Any:  # noqa: ANN401 - of a package without types
-    """Return the quality of service of what is said once, and told to whoever comes later."""
+    """Return the quality of service of a latched topic."""
     from rosbags import interfaces as ros  # noqa: PLC0415 - of the extra `formats`
 
     for_ever = ros.QosTime(*divmod(2**63 - 1, 1_000_000_000))

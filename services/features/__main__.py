@@ -10,9 +10,6 @@ def serve(node: Node, settings: FeaturesSettings) -> None:
     """Compute observations of frames until stopped."""
     service = FeaturesService(settings.features)
     node.detail = service.detail
-    if service.needs_depth:
-        # Two, so that the next depth image does not replace that of a waiting frame.
-        node.subscribe(topics.DEPTH, service.handle_depth, depth=2)
     node.subscribe(topics.JPEG, service.handle, depth=1)
     node.log.info("extracting %s", settings.modalities)
     node.spin()

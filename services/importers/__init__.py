@@ -1,1 +1,1 @@
-"""Other people's recordings become ours: one file a format, then ticks, atoms, and an ordinary recording."""
+"""Import foreign recordings: one file a format, then ticks, atoms, and an ordinary recording."""

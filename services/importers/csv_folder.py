@@ -1,4 +1,4 @@
-"""A folder of images with a CSV file beside them that says when each was taken and how fast the robot went.
+"""A folder of images with a CSV file of their times and the velocities of the robot.
 
 The file is ``drive.csv``, or the only ``*.csv`` of the folder. Its first line names the columns: ``image`` (a file in
 the folder), ``time_s``, ``linear_m_s`` and ``angular_rad_s`` (counter-clockwise); where there are such, ``episode``,
@@ -22,7 +22,7 @@ COLUMNS: Final = ("episode", "image", "time_s", "linear_m_s", "angular_rad_s", "
 
 
 class _Line(BaseModel):
-    """A line of the file; what is empty is not there."""
+    """A line of the file; an empty cell is absent."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
     episode: str = ""
@@ -37,14 +37,14 @@ class _Line(BaseModel):
 
     @property
     def pose(self) -> tuple[float, float, float] | None:
-        """Where the wheels say that the robot was."""
+        """Pose by the wheels."""
         if self.x_m is None or self.y_m is None or self.heading_rad is None:
             return None
         return self.x_m, self.y_m, self.heading_rad
 
 
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
-    """Read such a folder; each episode is a drive."""
+    """Read a folder; each episode is a drive."""
     names = [name for name in inside.names() if name.lower().endswith(".csv")]
     if NAME not in names and len(names) != 1:
         raise ImportFailure(

@@ -1,8 +1,7 @@
 """Tubs of donkeycar, version 2: a manifest, catalogs of JSON lines, and JPEGs.
 
-Steering and throttle are shares of full lock and full throttle. A car turns as fast as it drives and steers, so that
-the turn rate is their product; what they are in metres and radians a second nobody wrote down, so that a way is
-reckoned only where the user says it.
+Steering and throttle are shares of full lock and full throttle. The turn rate of a car is their
+product. A tub has no unit for them: a way is reckoned only if the user gives the speeds.
 """
 
 from collections.abc import Iterator
@@ -41,33 +40,14 @@ class _Record(BaseModel):
 
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     """Read a tub; each of its sessions is a drive, and so is a tub of a version without sessions."""
-    lines = inside.read("manifest.json").splitlines()
-    if len(lines) < 5:
-        raise ImportFailure(
-            f"{inside.called('manifest.json')}: not the manifest of a tub of version 2: five lines"
-        )
-    manifest = inside.parsed(_Manifest, lines[4], "manifest.json")
+    manifest = _manifest(inside)
     sessions: dict[str, list[Row]] = {}
     found = 0
     for found, record in enumerate(_records(inside, manifest.paths, tally), 1):
         if found > MOST_SAMPLES:
             raise ImportFailure(f"{inside.path}: more than {MOST_SAMPLES} records")
-        if record is None:
-            continue
-        if record.mode != "user":
-            tally.count("records were not driven by a person")
-        elif record.index in manifest.deleted_indexes:
-            tally.count("records were deleted by their owner")
-        else:
-            time_s = record.time_ms / 1000.0 if job.rate_hz is None else record.index / job.rate_hz
-            # No car does more than all, whatever the joystick says; and of donkeycar -1 is full left.
-            throttle, angle = (
-                min(max(share, -1.0), 1.0) for share in (record.throttle, record.angle)
-            )
-            velocity = throttle * (job.speed or 1.0), -angle * throttle * (job.turn_rate or 1.0)
-            sessions.setdefault(record.session, []).append(
-                Row(f"images/{record.image}", time_s, velocity)
-            )
+        if record is not None and _is_usable(record, manifest, tally):
+            sessions.setdefault(record.session, []).append(_row(record, job))
     if found != manifest.current_index:
         tally.say(
             f"the manifest announces {manifest.current_index} records, the catalogs have {found}"
@@ -80,8 +60,35 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     return [drive_of(inside, name, rows, tally, metric=metric) for name, rows in sessions.items()]
 
 
+def _manifest(inside: Inside) -> _Manifest:
+    lines = inside.read("manifest.json").splitlines()
+    if len(lines) < 5:
+        raise ImportFailure(
+            f"{inside.called('manifest.json')}: not the manifest of a tub of version 2: five lines"
+        )
+    return inside.parsed(_Manifest, lines[4], "manifest.json")
+
+
+def _is_usable(record: _Record, manifest: _Manifest, tally: Tally) -> bool:
+    deleted = record.index in manifest.deleted_indexes
+    if record.mode != "user":
+        tally.count("records were not driven by a person")
+    elif deleted:
+        tally.count("records were deleted by their owner")
+    return record.mode == "user" and not deleted
+
+
+def _row(record: _Record, job: ImportJob) -> Row:
+    time_s = record.time_ms / 1000.0 if job.rate_hz is None else record.index / job.rate_hz
+    # A joystick may exceed full throttle, a car cannot. An angle of -1 is full left.
+    throttle = min(max(record.throttle, -1.0), 1.0)
+    angle = min(max(record.angle, -1.0), 1.0)
+    velocity = throttle * (job.speed or 1.0), -angle * throttle * (job.turn_rate or 1.0)
+    return Row(f"images/{record.image}", time_s, velocity)
+
+
 def _records(inside: Inside, paths: list[str], tally: Tally) -> Iterator[_Record | None]:
-    """Yield all records; None for one that is none."""
+    """Yield all records; None for a malformed record."""
     catalogs = {inside.regular(path): path for path in dict.fromkeys(paths)}
     tally.count("names of catalogs are repeated, which are read once", len(paths) - len(catalogs))
     for path in catalogs.values():

@@ -1,4 +1,4 @@
-"""What every format gives: drives, each a camera's frames and how fast the robot went."""
+"""A drive of a foreign recording, as every format is read: camera frames, velocities, poses."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -13,45 +13,43 @@ from services.kit.errors import JobError
 from smal.camera import Camera
 
 Array = NDArray[np.float64]
-MOST_SAMPLES: Final = (
-    10_000_000  # Most of a drive, or rows of a file: 28 hours at 100 Hz, 100 bytes each.
-)
+#: Of a drive, or rows of a file: 28 hours at 100 Hz, 100 bytes each.
+MOST_SAMPLES: Final = 10_000_000
 # No wheeled robot is faster.
 FASTEST_M_S = 50.0
 FASTEST_RAD_S = 100.0
-LATEST_S: Final = 9e9  # A recording counts nanoseconds since 1970 in 63 bits: until the year 2255.
-_FURTHEST_M: Final = 4e7  # Round the earth, whose grids some odometry begins in.
+LATEST_S: Final = 9e9  # The year 2255: recordings count nanoseconds since 1970 in 63 bits.
+_FURTHEST_M: Final = 4e7  # The circumference of the earth: some odometry uses geographic grids.
 _MOST_TURNED_RAD: Final = 2e8  # A turn every second for a year.
 
 
 class ImportFailure(JobError):  # noqa: N818 - ImportError is Python's own
-    """A source cannot be imported; the text names it and says why in one line."""
+    """A source cannot be imported; the text names it and the reason in one line."""
 
 
 class NotAnImage(ValueError):  # noqa: N818 - it is caught and counted, one frame of many
-    """A frame cannot be used; the text says why."""
+    """A frame cannot be used; the text is the reason."""
 
 
-Image = Callable[
-    [], bytes
-]  # Gives one frame as JPEG, or raises `NotAnImage`; only asked of frames that are used.
+#: Returns a frame as JPEG, or raises `NotAnImage`; called only for frames in use.
+Image = Callable[[], bytes]
 Images = Callable[[], Iterator[Image]]
 Rows = Sequence[tuple[float, ...]] | Array
 
 
 @dataclass(frozen=True, eq=False)
 class ImportedDrive:
-    """One drive of a source; all times are on the same clock, in seconds."""
+    """One drive of a source; all times are on one clock, in seconds."""
 
-    name: str  # As the source calls it.
+    name: str  # In the source.
     times_s: Array  # (n,) of the frames.
-    images: Images  # Gives the n frames in their order, each time anew.
-    motion: Array  # (k, 3) time, speed ahead, turn rate counter-clockwise, ascending: what atoms are made of.
-    #: (m, 4) time, x and y in metres, heading in radians, ascending: where the wheels say that the robot was.
+    images: Images  # The n frames in order, anew for each call.
+    motion: Array  # (k, 3) time, speed ahead, turn rate counter-clockwise, ascending.
+    #: (m, 4) time, x and y in metres, heading in radians, ascending: poses by the wheels.
     track: Array = field(default_factory=lambda: np.zeros((0, 4)))
-    success: bool | None = None  # Whether it reached its goal; None where the source does not say.
-    camera: Camera | None = None  # How it sees, where the source says it.
-    metric: bool = True  # Whether velocities are metres and radians a second, so that a way can be reckoned from them.
+    success: bool | None = None  # Whether it reached its goal; None if unknown.
+    camera: Camera | None = None  # None if unknown.
+    metric: bool = True  # Whether velocities are in metres and radians a second.
 
     @classmethod
     def of_rows(
@@ -64,7 +62,7 @@ class ImportedDrive:
         tally: "Tally",
         **more: Any,  # noqa: ANN401
     ) -> Self:
-        """Make a drive of rows in any order, of motion and of track; what no robot does is counted instead."""
+        """Make a drive of rows of motion and track in any order; implausible rows are counted."""
         furthest = (LATEST_S, _FURTHEST_M, _FURTHEST_M, _MOST_TURNED_RAD)
         where = _sound(track, furthest, "poses are nowhere", tally)
         return cls(name, times_s, images, motion_of(motion, tally), where, **more)
@@ -72,32 +70,32 @@ class ImportedDrive:
 
 @dataclass
 class Tally:
-    """Counts what does not fit."""
+    """Counts defects of a source, and collects remarks."""
 
-    counts: Counter[str] = field(default_factory=Counter)  # How often, by what is said of it.
-    remarks: list[str] = field(default_factory=list)  # What is said once.
+    counts: Counter[str] = field(default_factory=Counter)  # By the text of the defect.
+    remarks: list[str] = field(default_factory=list)
 
     def count(self, what: str, times: int = 1) -> None:
-        """Count something, for example "images that are damaged"."""
+        """Count a defect, for example "images that are damaged"."""
         if times:
             self.counts[printable(what)] += times
 
     def say(self, remark: str) -> None:
-        """Say something once."""
+        """Add a remark, once."""
         if remark not in self.remarks:
             self.remarks.append(remark)
 
     def counted(self) -> list[str]:
-        """Return what was counted."""
+        """Return the counted defects, a line each."""
         return [f"{times} {what}" for what, times in self.counts.items()]
 
     def lines(self) -> list[str]:
-        """Return all that is to be said."""
+        """Return the remarks and the counted defects, a line each."""
         return [*self.remarks, *self.counted()]
 
 
 def motion_of(rows: Rows, tally: Tally) -> Array:
-    """Return (time, speed, turn rate) in the order of time, (k, 3); what no robot does is counted instead."""
+    """Return (time, speed, turn rate) by time, (k, 3); implausible rows are counted."""
     said = "velocities are no numbers, faster than any robot, or of no time in seconds"
     return _sound(rows, (LATEST_S, FASTEST_M_S, FASTEST_RAD_S), said, tally)
 

@@ -1,4 +1,4 @@
-"""Images, files of images and videos of other people's as JPEG: what is JPEG already stays as it is, to the byte."""
+"""Foreign images, image files and videos as JPEG; a JPEG is copied to the byte."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -17,21 +17,20 @@ from services.kit.jpeg import MOST_PIXELS, decode_image_file, encode_jpeg, is_jp
 MOST_BYTES: Final = CompressedImage.max_bytes - 2**16  # Most bytes of an image file.
 _MOST: Final = (4096, 3072)  # Columns and rows that a recording's image can have.
 _LEAST: Final = (32, 24)  # Those that features need.
-_FASTEST_HZ: Final = (
-    120.0  # No camera of a robot is faster; then the times are those of copying the data set.
-)
+#: No camera of a robot is faster: such times are those of copying the data set.
+_FASTEST_HZ: Final = 120.0
 _UNREAD: Final = "images cannot be read"
 _JPEG: Final = b"\xff\xd8"
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
 
 
 def as_jpeg(data: bytes) -> bytes:
-    """Return a JPEG or PNG file as JPEG, decoded to see that it is whole; `NotAnImage` says what is wrong with it."""
+    """Return a JPEG or PNG file as JPEG; raises `NotAnImage` if it does not decode."""
     if len(data) > MOST_BYTES:
         raise NotAnImage("images are larger than 16 MiB")
     if not data.startswith((_JPEG, _PNG)):
         raise NotAnImage("images are neither JPEG nor PNG")
-    # Before OpenCV, which makes room for what the header claims; and a PNG without an end makes libpng write of it.
+    # OpenCV allocates what the header claims, and libpng logs a PNG without an end.
     width = int.from_bytes(data[16:20], "big")
     height = int.from_bytes(data[20:24], "big")
     png = data[12:16] == b"IHDR" and 0 < width * height <= MOST_PIXELS and b"IEND" in data[-16:]
@@ -46,7 +45,7 @@ def as_jpeg(data: bytes) -> bytes:
 
 
 def raw_as_jpeg(pixels: NDArray[np.uint8]) -> bytes:
-    """Compress RGB pixels (height, width, 3); those of a size that no camera has are `NotAnImage`."""
+    """Compress RGB pixels (height, width, 3); raises `NotAnImage` for an implausible size."""
     _check_size(pixels)
     return encode_jpeg(pixels)
 
@@ -58,7 +57,7 @@ def _check_size(pixels: NDArray[np.uint8]) -> None:
 
 
 class Row(NamedTuple):
-    """A frame: its file, when it was taken, speed ahead and turn rate, and where the wheels say that the robot was."""
+    """A frame: image file, time, velocity (speed ahead, turn rate), and pose by the wheels."""
 
     image: str
     time_s: float
@@ -75,7 +74,7 @@ def drive_of(
     success: bool | None = None,
     metric: bool = True,
 ) -> ImportedDrive:
-    """Make a drive of its frames; ImportFailure where no camera's frames have such times."""
+    """Make a drive of its frames; ImportFailure if the frame rate is implausible."""
     times_s = np.array([row.time_s for row in rows])
     usual_s = float(np.median(np.diff(times_s))) if len(rows) > 1 else 1.0
     if usual_s * _FASTEST_HZ < 1.0:
@@ -99,14 +98,14 @@ def _image(inside: Inside, name: str, tally: Tally) -> bytes:
     try:
         return as_jpeg(inside.read(name, MOST_BYTES))
     except ImportFailure as error:
-        # The first one tells why.
+        # One remark names the reason.
         if not tally.counts[_UNREAD]:
             tally.say(str(error))
         raise NotAnImage(_UNREAD) from None
 
 
 def frames_at(file: IO[bytes], called: str, times_s: Array, tolerance_s: float) -> Iterator[Image]:
-    """Yield for each time, ascending, the nearest frame of an MP4 that is decoded in order; else ImportFailure."""
+    """Yield the frame of an MP4 nearest to each time, ascending; ImportFailure if unreadable."""
     import av  # noqa: PLC0415 - of the extra `formats`
 
     try:

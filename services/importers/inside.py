@@ -1,4 +1,4 @@
-"""Reads files of a stranger's folder, and none outside of it, wherever names and links in it may lead."""
+"""Read files of a foreign folder, and never a file outside of it, whatever its links."""
 
 import os
 from collections.abc import Iterator
@@ -12,17 +12,14 @@ from schemas.codec import describe, printable
 from services.importers.drive import ImportFailure
 from services.kit.root import OutsideError, below, open_below
 
-MOST_BYTES: Final = (
-    256 * 2**20
-)  # Most of a file read as a whole; a thousand hours are described in less.
-LONGEST_LINE: Final = (
-    1_000_000  # Most characters of a line; of a row of numbers it has a few hundred.
-)
+#: Of a file that is read as a whole; the description of a thousand hours is smaller.
+MOST_BYTES: Final = 256 * 2**20
+LONGEST_LINE: Final = 1_000_000  # Characters; a row of numbers has a few hundred.
 Model = TypeVar("Model", bound=BaseModel)
 
 
 class Inside:
-    """A folder, or one file, to read from, whose own path may have links; ImportFailure where there is nothing."""
+    """A folder or a file to read from; its own path may have links. ImportFailure if not found."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -31,16 +28,16 @@ class Inside:
         self.is_folder = self._root.is_dir()
 
     def called(self, name: str) -> str:
-        """Return how a file in it is named to the user."""
+        """Return the name of a file in it for messages."""
         return printable(str(self.path / name if name else self.path))
 
     def regular(self, name: str = "") -> Path:
-        """Return the path of a regular file without links, for those who open it themselves; errors as of `open`."""
+        """Return the path of a regular file without links; errors as of `open`."""
         with self.open(name):
             return below(self._root, name)
 
     def open(self, name: str = "") -> IO[bytes]:
-        """Open a file; ImportFailure when it is outside of the folder, no regular file, or cannot be read."""
+        """Open a file; ImportFailure if it is outside of the folder, irregular or unreadable."""
         with self._failures(name):
             return open_below(self._root, name)
 
@@ -58,9 +55,9 @@ class Inside:
             raise ImportFailure(f"{self.called(name)}: {why}") from None
 
     def read(self, name: str = "", most: int = MOST_BYTES) -> bytes:
-        """Return the bytes of a file; errors are those of `open`, and one that is too large is another."""
+        """Return the bytes of a file; ImportFailure as of `open`, or if it is too large."""
         with self.open(name) as file:
-            size = os.fstat(file.fileno()).st_size  # As much room is made as is asked for.
+            size = os.fstat(file.fileno()).st_size  # read() allocates the size that it is given.
             if size > most:
                 raise ImportFailure(f"{self.called(name)}: larger than {most} bytes")
             return file.read(size)
@@ -76,13 +73,13 @@ class Inside:
                 yield line
 
     def names(self, folder: str = "") -> list[str]:
-        """Return the names of what is in a folder, sorted; of none nothing."""
+        """Return the sorted names in a folder; none if there is no such folder."""
         with self._failures(folder):
             path = below(self._root, folder)
             return sorted(each.name for each in path.iterdir()) if path.is_dir() else []
 
     def parsed(self, model: type[Model], data: bytes, name: str) -> Model:
-        """Return the JSON of a file, or of a line of it, as a model of pydantic; all else is an `ImportFailure`."""
+        """Parse the JSON of a file or a line; ImportFailure if it does not fit the model."""
         try:
             return model.model_validate_json(data)
         except ValidationError as error:

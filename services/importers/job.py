@@ -1,4 +1,4 @@
-"""What an import is asked for, and what came of it."""
+"""The options of an import, and its result."""
 
 import importlib.util
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from services.kit.errors import UsageError
 
 Format = Literal["rosbag2", "lerobot", "donkeycar", "folder"]
 FORMATS: Final[tuple[Format, ...]] = get_args(Format)
-#: What has to be installed for each.
+#: Packages that a format needs.
 _PACKAGES: Final[dict[Format, tuple[str, ...]]] = {
     "rosbag2": ("rosbags",),
     "lerobot": ("pyarrow", "av"),
@@ -23,7 +23,7 @@ _Rate = Annotated[float, Field(gt=0.0, le=1000.0)]
 
 
 class ImportJob(Strict):
-    """What is asked for; `smal import --help` says what each wish is. Names are the source's own."""
+    """Options of an import, see `smal import --help`; names are those of the source."""
 
     format: Format
     path: str
@@ -46,28 +46,29 @@ class ImportJob(Strict):
     episodes: tuple[str, ...] = ()
 
 
+OdometryOrigin = Literal["of the source", "reckoned from velocities", "none"]
+
+
 class ImportReport(Strict):
-    """What came of it: recordings, their ticks and atoms, how many drives reached the goal, nominal velocities."""
+    """Result of an import: recordings, ticks, atoms, successful drives, nominal velocities."""
 
     files: tuple[str, ...]
     ticks: int
     successes: int
-    odometry: Literal["of the source", "reckoned from velocities", "none"]
+    odometry: OdometryOrigin
     speed: float
     turn_rate: float
-    metric: (
-        bool  # Whether these are metres and radians a second, and not in units of the source's own.
-    )
+    metric: bool  # Whether these are metres and radians a second; else units of the source.
     atoms: dict[str, int]
 
 
 def missing_packages(form: Format) -> list[str]:
-    """Return what has to be installed for a format and is not."""
+    """Return the missing packages of a format."""
     return [name for name in _PACKAGES.get(form, ()) if importlib.util.find_spec(name) is None]
 
 
 def check_format(name: str, formats: Sequence[Format] = FORMATS) -> Format:
-    """Return the format of a name; a UsageError says that there is none, or what has to be installed for it."""
+    """Return the format of a name; UsageError if it is unknown, or a package is missing."""
     form = next((one for one in formats if one == name), None)
     if form is None:
         raise UsageError(f"no format {name!r}; known are: {', '.join(formats)}")

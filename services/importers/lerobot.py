@@ -1,9 +1,10 @@
-"""LeRobotDataset, versions 2.0, 2.1 and 3.0, of bases: Parquet and MP4, by no names but those of the format."""
+"""LeRobotDataset, versions 2.0, 2.1 and 3.0, of wheeled bases: Parquet and MP4."""
 
 import math
 import re
 from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import chain
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import numpy as np
@@ -23,13 +24,13 @@ from services.importers.images import as_jpeg, frames_at
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
 
-#: Metres and radians a second; and a pose by the wheels, as only our own data sets have it.
+#: Metres and radians a second; and the pose by the wheels, in our own data sets.
 VELOCITIES: Final = ("linear_velocity", "angular_velocity")
 ACTION = "action"
 STATE = "observation.state"
 SUCCESS = "next.success"
 POSE: Final = ("x_m", "y_m", "heading_rad")
-#: What bases call their velocities, and what the angular one is in radians a second; LeKiwi has degrees.
+#: Names of velocities, and the unit of the angular one in radians a second; LeKiwi has degrees.
 _NAMES: Final[dict[tuple[str, ...], float]] = {
     ("x_vel", "theta_vel"): math.radians(1.0),
     VELOCITIES: 1.0,
@@ -48,10 +49,12 @@ EPISODES: Final = "meta/episodes"
 DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 _EPISODE: Final = "episode_index"
+#: Of a row that describes an episode.
+_ROW: Final = (_EPISODE, "length", "data/chunk_index", "data/file_index")
 # Rows of numbers, and of images, that are read at a time.
 _ROWS = 4096
 _IMAGES = 16
-#: Most bytes, and entries, of a Parquet file's own description; that of ten million rows has a hundred thousand.
+#: Limits of a Parquet file's description: bytes and entries; ten million rows have 100,000.
 _LIMITS: Final = {"thrift_string_size_limit": 64 * 2**20, "thrift_container_size_limit": 10_000_000}
 
 
@@ -77,7 +80,7 @@ class _Info(BaseModel):
     features: dict[str, _Feature]
 
     def names(self, feature: str) -> list[str]:
-        """Return the names of a feature's numbers; none where there is no such feature."""
+        """Return the names of a feature's numbers; none if there is no such feature."""
         return self.features[feature].names if feature in self.features else []
 
 
@@ -89,7 +92,7 @@ class _Line(BaseModel):
 
 
 class _Episode(NamedTuple):
-    """Where an episode is; without a video its images are in the data."""
+    """The files of an episode; without a video its images are in the data."""
 
     number: int
     length: int
@@ -99,7 +102,7 @@ class _Episode(NamedTuple):
 
 
 class _Velocity(NamedTuple):
-    """Where in the rows of a feature the velocities are, and what they are in metres and radians a second."""
+    """The columns of the velocities in a feature, and their units in metres and radians a second."""
 
     feature: str
     linear: int
@@ -146,79 +149,74 @@ class _DataSet:
             yield _Episode(told.episode_index, told.length, _DATA_V2.format(*at), video)
 
     def _of_tables(self) -> Iterator[_Episode]:
-        columns = [_EPISODE, "length", "data/chunk_index", "data/file_index"]
-        if self._filmed:
-            columns += [
-                f"videos/{self._camera}/{name}"
-                for name in ("chunk_index", "file_index", "from_timestamp")
-            ]
+        for name in self._tables():
+            columns = _numbers(self._inside, name, [*_ROW, *self._film_columns()])
+            counts = (
+                each.ndim == 1 and ((each >= 0.0) & (each < np.inf)).all() for each in columns
+            )
+            if not all(counts):
+                raise ImportFailure(f"{self._inside.called(name)}: not numbers from 0 on")
+            yield from map(self._episode_of, zip(*map(np.ndarray.tolist, columns), strict=True))
+
+    def _tables(self) -> list[str]:
+        """Return the files that describe episodes."""
         chunks = [f"{EPISODES}/{chunk}" for chunk in self._inside.names(EPISODES)]
         files = [f"{chunk}/{name}" for chunk in chunks for name in self._inside.names(chunk)]
         if not files:
-            raise ImportFailure(
-                f"{self._inside.called(EPISODES)}: has no chunk-000/file-000.parquet"
-            )
-        for name in files:
-            each = _numbers(self._inside, name, columns)
-            if not all(
-                column.ndim == 1 and (column >= 0.0).all() and (column < np.inf).all()
-                for column in each
-            ):
-                raise ImportFailure(f"{self._inside.called(name)}: not numbers from 0 on")
-            for number, length, chunk, file, *film in zip(
-                *(column.tolist() for column in each), strict=True
-            ):
-                episode = _Episode(
-                    int(number),
-                    int(length),
-                    DATA.format(chunk_index=int(chunk), file_index=int(file)),
-                )
-                if film:
-                    at = {"chunk_index": int(film[0]), "file_index": int(film[1])}
-                    episode = episode._replace(
-                        video=VIDEO.format(video_key=self._camera, **at), begin_s=film[2]
-                    )
-                yield episode
+            called = self._inside.called(EPISODES)
+            raise ImportFailure(f"{called}: has no chunk-000/file-000.parquet")
+        return files
+
+    def _film_columns(self) -> list[str]:
+        names = ("chunk_index", "file_index", "from_timestamp") if self._filmed else ()
+        return [f"videos/{self._camera}/{name}" for name in names]
+
+    def _episode_of(self, row: tuple[float, ...]) -> _Episode:
+        number, length, chunk, file, *film = row
+        data = DATA.format(chunk_index=int(chunk), file_index=int(file))
+        if not film:
+            return _Episode(int(number), int(length), data)
+        film_chunk, film_file, begin_s = film
+        video = VIDEO.format(
+            video_key=self._camera, chunk_index=int(film_chunk), file_index=int(film_file)
+        )
+        return _Episode(int(number), int(length), data, video, begin_s)
 
     def drive(self, episode: _Episode) -> ImportedDrive:
         where = self._velocity
-        name = str(episode.number)
-        columns = dict.fromkeys(["timestamp", where.feature])
-        columns |= dict.fromkeys([STATE] if self._pose else []) | dict.fromkeys(
-            {SUCCESS} & self.info.features.keys()
-        )
-        found = dict(
-            zip(
-                columns,
-                _numbers(self._inside, episode.data, [*columns], episode.number),
-                strict=True,
-            )
-        )
+        found = self._columns_of(episode)
         times_s = found["timestamp"].ravel()
         if times_s.size != episode.length:
-            self._tally.say(
-                f"episode {name}: announces {episode.length} frames, has {times_s.size}"
-            )
+            announced = f"announces {episode.length} frames, has {times_s.size}"
+            self._tally.say(f"episode {episode.number}: {announced}")
         sideways = [] if where.sideways is None else [where.sideways]
         moved = self._part(
             episode, found[where.feature], where.feature, [where.linear, where.angular, *sideways]
         )
         aside = np.abs(moved[:, 2:]) > _LEAST_SIDEWAYS
         self._tally.count("frames go sideways, for which there is no atom", int(aside.sum()))
-        poses = (
-            self._part(episode, found[STATE], STATE, self._pose)
-            if self._pose
-            else np.zeros((0, len(POSE)))
-        )
+        track = np.zeros((0, 1 + len(POSE)))
+        if self._pose:
+            poses = self._part(episode, found[STATE], STATE, self._pose)
+            track = np.column_stack([times_s[: len(poses)], poses])
         return ImportedDrive.of_rows(
-            name,
+            str(episode.number),
             times_s,
             partial(self._video if episode.video else self._embedded, episode, times_s),
             np.column_stack([times_s, moved[:, :2] * (where.metres, where.radians)]),
-            np.column_stack([times_s[: len(poses)], poses]),
+            track,
             self._tally,
             success=bool(found[SUCCESS].any()) if SUCCESS in found else None,
         )
+
+    def _columns_of(self, episode: _Episode) -> dict[str, Array]:
+        """Return the rows of an episode by the features that are read."""
+        wanted = ["timestamp", self._velocity.feature]
+        wanted += [STATE] if self._pose else []
+        wanted += [SUCCESS] if SUCCESS in self.info.features else []
+        columns = list(dict.fromkeys(wanted))
+        rows = _numbers(self._inside, episode.data, columns, episode.number)
+        return dict(zip(columns, rows, strict=True))
 
     def _part(self, episode: _Episode, rows: Array, feature: str, at: list[int]) -> Array:
         """Return some numbers of the rows of a feature, (n, m)."""
@@ -252,27 +250,33 @@ def _camera(info: _Info, job: ImportJob, called: str) -> str:
 
 
 def _velocity(info: _Info, job: ImportJob, called: str) -> _Velocity:
-    known = _NAMES
-    if job.velocity is not None:
-        asked = tuple(map(_plain, job.velocity.split(",")))
-        known = {asked: known.get(asked, 1.0)} if len(asked) == 2 else {}
-    seen: list[str] = []
-    # What the robot was told says more of the driver than what it did.
-    for feature in (ACTION, STATE):
-        names = list(map(_plain, info.names(feature)))
-        seen += names
-        for (linear, angular), radians in known.items():
-            if linear in names and angular in names:
-                sideways = next((names.index(name) for name in _SIDEWAYS if name in names), None)
-                scale = job.speed or 1.0, job.turn_rate or radians
+    names_of = {feature: list(map(_plain, info.names(feature))) for feature in (ACTION, STATE)}
+    # The command describes the driver better than the movement that followed.
+    for feature, names in names_of.items():
+        for (linear, angular), radians in _wanted_names(job).items():
+            if {linear, angular} <= set(names):
                 return _Velocity(
-                    feature, names.index(linear), names.index(angular), sideways, *scale
+                    feature,
+                    names.index(linear),
+                    names.index(angular),
+                    next((names.index(name) for name in _SIDEWAYS if name in names), None),
+                    job.speed or 1.0,
+                    job.turn_rate or radians,
                 )
-    named = ", ".join(map(printable, dict.fromkeys(seen))) or "no names"
+    there = dict.fromkeys(chain.from_iterable(names_of.values()))
+    named = ", ".join(map(printable, there)) or "no names"
     raise ImportFailure(
         f"{called}: neither {ACTION} nor {STATE} has a linear and an angular velocity of a base "
         f"({named[:300]}); name them with --velocity LINEAR,ANGULAR"
     )
+
+
+def _wanted_names(job: ImportJob) -> dict[tuple[str, ...], float]:
+    """Return the names of velocities to look for, each with the unit of the angular one."""
+    if job.velocity is None:
+        return _NAMES
+    asked = tuple(map(_plain, job.velocity.split(",")))
+    return {asked: _NAMES.get(asked, 1.0)} if len(asked) == 2 else {}
 
 
 def _plain(name: str) -> str:
@@ -319,15 +323,27 @@ def _numbers(
     inside: Inside, name: str, columns: Sequence[str], episode: int | None = None
 ) -> list[Array]:
     """Return columns of numbers: (n,), or of lists of as many numbers each, (n, width)."""
-    parts: list[list[Array]] = [[] for _ in columns]
-    for batch in _batches(inside, name, columns, episode):
-        for column, found in zip(columns, parts, strict=True):
-            try:
-                if batch.num_rows:
-                    found.append(np.array(batch.column(column).to_pylist(), dtype=np.float64))
-                if found and found[-1].shape[1:] != found[0].shape[1:]:
-                    raise ValueError
-            except (ValueError, TypeError, OverflowError):
-                wrong = f"{printable(column)} is not a column of numbers, or its rows are not equally long"
-                raise ImportFailure(f"{inside.called(name)}: {wrong}") from None
-    return [np.concatenate(found) if found else np.zeros(0) for found in parts]
+    batches = [
+        [_cells(batch, column, inside.called(name)) for column in columns]
+        for batch in _batches(inside, name, columns, episode)
+        if batch.num_rows
+    ]
+    if not batches:
+        return [np.zeros(0) for _ in columns]
+    parts = list(zip(*batches, strict=True))
+    for column, found in zip(columns, parts, strict=True):
+        if len({part.shape[1:] for part in found}) > 1:
+            raise _not_numbers(column, inside.called(name))
+    return [np.concatenate(found) for found in parts]
+
+
+def _cells(batch: Any, column: str, called: str) -> Array:  # noqa: ANN401 - as above
+    try:
+        return np.array(batch.column(column).to_pylist(), dtype=np.float64)
+    except (ValueError, TypeError, OverflowError):
+        raise _not_numbers(column, called) from None
+
+
+def _not_numbers(column: str, called: str) -> ImportFailure:
+    wrong = "is not a column of numbers, or its rows are not equally long"
+    return ImportFailure(f"{called}: {printable(column)} {wrong}")

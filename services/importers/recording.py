@@ -1,9 +1,9 @@
-"""A drive as a recording like those of our own recorder, which ``smal learn`` takes without knowing its origin."""
+"""Write a drive as a recording like those of our own recorder."""
 
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain, islice
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -30,7 +30,7 @@ _POSE: Final = ("x_m", "y_m", "heading_rad", "speed_m_s", "turn_rate_rad_s")
 
 
 class Written(NamedTuple):
-    """What became of a drive; how many ticks there are of each atom."""
+    """The recording of a drive, and the number of ticks of each atom."""
 
     path: Path
     atoms: Counter[str]
@@ -41,69 +41,93 @@ class Written(NamedTuple):
 def write(
     drive: ImportedDrive, job: ImportJob, usual: Nominal, tally: Tally, advance: Callable[[], None]
 ) -> Written | None:
-    """Write a drive's recording, ``advance`` for each frame; None: of no use. After an error nothing is left."""
+    """Write the recording of a drive; return None if the drive has fewer than two frames.
+
+    ``advance`` is called for each frame. An error leaves no file behind.
+    """
     shown = ticks(drive.times_s, job.from_s, job.to_s, tally)
     images = _images(drive, shown, tally, advance)
     begin = list(islice(images, _LEAST_FRAMES))
     if len(begin) < _LEAST_FRAMES:
         tally.count("drives have less than two usable frames and are left out")
         return None
-    moves = Moves(drive.motion)
-    tally.count("ticks lack a velocity; the robot is taken to stand", moves.silent(shown.times_s))
-    shares = shares_of(moves.velocities(shown.times_s), usual)
-    poses = _poses(drive, shown.times_s, moves if job.reckon and drive.metric else None)
-    success = drive.success is not False if job.success is None else job.success
-    name = _name(drive, shown, begin[0][1])
-    told = {
-        "purpose": "drive",
-        "driver": "teleop",
-        "world": job.format,
-        "seed": 0,
-        "goal": job.goal,
-    }
-
-    def header(row: int) -> Message:
-        tick = int(shown.numbers[row])
-        stamp_ns = round((max(shown.start_s, 0.0) + TICK_S * tick) * 1e9)
-        return Message(robot=job.robot, episode=name, tick=tick, stamp_ns=stamp_ns)
-
-    cause = header(begin[0][0])
-    started = Episode.after(cause, event="started", **told)
+    first, jpeg = begin[0]
+    episode = _Episode(drive, job, shown, usual, _name(drive, shown, jpeg))
+    tally.count("ticks lack a velocity; the robot is taken to stand", episode.silent)
+    started = episode.event(first, event="started")
     writer = EpisodeWriter.begin(Path(job.folder), started)
-    camera = (
-        drive.camera if job.field_of_view_deg is None else Camera.of_field(job.field_of_view_deg)
-    )
-    made: Counter[str] = Counter()
     try:
         writer.write(started)
-        for row, jpeg in chain(begin, images):
-            cause = header(row)
-            atom = shares[row].atom(job.still, job.turning)
-            width, height = jpeg_size(jpeg) or (0, 0)
-            writer.write(CompressedImage.after(cause, width=width, height=height, data=jpeg))
-            if camera is not None and not made:
-                writer.write(camera_info(cause, camera, width, height))
-            if poses is not None and not np.isnan(poses[row, 0]):
-                where = dict(zip(_POSE, poses[row].round(_DIGITS).tolist(), strict=True))
-                writer.write(Odometry.after(cause, **where))
-            done = shares[row]._asdict() | {"atom": atom, "source": "teleop", "reason": "command"}
-            writer.write(CommandApplied.after(cause, **done))
-            made[atom] += 1
-        ended = {"outcome": "found", "judge": "operator"} if success else {"outcome": "aborted"}
-        writer.write(Episode.after(cause, event="ended", **told, **ended))
+        for message in episode.messages(chain(begin, images)):
+            writer.write(message)
     except BaseException:
         writer.seal().unlink(missing_ok=True)
         raise
     path = writer.seal()
     if writer.problem is not None:
         raise ImportFailure(f"{path}: cannot be written: {writer.problem}")
-    return Written(path, made, poses is not None, success)
+    return Written(path, episode.atoms, episode.poses is not None, episode.success)
+
+
+class _Episode:
+    """The messages of a drive, as a robot publishes them."""
+
+    def __init__(
+        self, drive: ImportedDrive, job: ImportJob, shown: Ticks, usual: Nominal, name: str
+    ) -> None:
+        moves = Moves(drive.motion)
+        self.atoms: Counter[str] = Counter()
+        self.silent = moves.silent(shown.times_s)
+        self.success = drive.success is not False if job.success is None else job.success
+        self.poses = _poses(drive, shown.times_s, moves if job.reckon and drive.metric else None)
+        self._shares = shares_of(moves.velocities(shown.times_s), usual)
+        field_deg = job.field_of_view_deg
+        self._camera = drive.camera if field_deg is None else Camera.of_field(field_deg)
+        self._job = job
+        self._shown = shown
+        self._name = name
+
+    def event(self, row: int, **fields: str) -> Episode:
+        """Return an event of the episode at a row of its ticks."""
+        same = {"purpose": "drive", "driver": "teleop", "world": self._job.format}
+        same |= {"goal": self._job.goal}
+        return Episode.after(self._header(row), seed=0, **same, **fields)
+
+    def messages(self, images: Iterable[tuple[int, bytes]]) -> Iterator[Message]:
+        """Yield the messages of all frames, then the end."""
+        row = 0
+        for row, jpeg in images:
+            yield from self._frame(row, jpeg)
+        ended = (
+            {"outcome": "found", "judge": "operator"} if self.success else {"outcome": "aborted"}
+        )
+        yield self.event(row, event="ended", **ended)
+
+    def _frame(self, row: int, jpeg: bytes) -> Iterator[Message]:
+        cause = self._header(row)
+        width, height = jpeg_size(jpeg) or (0, 0)
+        yield CompressedImage.after(cause, width=width, height=height, data=jpeg)
+        if self._camera is not None and not self.atoms:
+            yield camera_info(cause, self._camera, width, height)
+        if self.poses is not None and not np.isnan(self.poses[row, 0]):
+            pose = self.poses[row].round(_DIGITS).tolist()
+            yield Odometry.after(cause, **dict(zip(_POSE, pose, strict=True)))
+        share = self._shares[row]
+        atom = share.atom(self._job.still, self._job.turning)
+        self.atoms[atom] += 1
+        done = share._asdict() | {"atom": atom, "source": "teleop", "reason": "command"}
+        yield CommandApplied.after(cause, **done)
+
+    def _header(self, row: int) -> Message:
+        tick = int(self._shown.numbers[row])
+        stamp_ns = round((max(self._shown.start_s, 0.0) + TICK_S * tick) * 1e9)
+        return Message(robot=self._job.robot, episode=self._name, tick=tick, stamp_ns=stamp_ns)
 
 
 def _images(
     drive: ImportedDrive, shown: Ticks, tally: Tally, advance: Callable[[], None]
 ) -> Iterator[tuple[int, bytes]]:
-    """Yield each row of the ticks and its JPEG; those whose frame is no image are left out."""
+    """Yield each row of the ticks with its JPEG, but those whose frame is no image."""
     rows = np.searchsorted(shown.frames, np.arange(drive.times_s.size + 1)).tolist()
     for frame, image in enumerate(drive.images()):
         advance()
@@ -118,7 +142,7 @@ def _images(
 
 
 def _poses(drive: ImportedDrive, times_s: Array, moves: Moves | None) -> Array | None:
-    """Return what odometry says at each tick, (n, 5), NaN where it is not known; None where it never is."""
+    """Return the odometry of each tick, (n, 5), NaN where unknown; None if it is never known."""
     way = odometry(drive, times_s, moves)
     if way is None:
         return None
@@ -132,7 +156,7 @@ def _poses(drive: ImportedDrive, times_s: Array, moves: Moves | None) -> Array |
 
 
 def _name(drive: ImportedDrive, shown: Ticks, first: bytes) -> str:
-    """Name an episode by its drive and what is in it: imported twice it is known again, and another one is another."""
+    """Name an episode by its content: a drive that is imported twice gets the same name."""
     digest = hashlib.sha256(first)
     for part in (shown.numbers, drive.times_s[shown.frames], drive.motion):
         digest.update(part.tobytes())

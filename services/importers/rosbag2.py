@@ -1,7 +1,7 @@
-"""Bags of ROS 2, MCAP or SQLite: a folder or a bare file; times are those at which the bag received a message.
+"""Bags of ROS 2, MCAP or SQLite: a folder or a file; times are those of reception.
 
-Types are those that ROS prescribes, not what a bag says of them. The command says what the driver wanted and makes the
-atoms; odometry, where it is there, says where the robot was. MCAP is read by our own reader, which survives damage.
+Types are those of ROS, not the definitions in a bag. The command of the driver makes the atoms;
+odometry, if there is any, gives the pose. Our own reader of MCAP survives damage.
 """
 
 import math
@@ -39,12 +39,10 @@ from services.recordings.records import MAGIC, mapped, records
 from smal.camera import Camera
 
 _ZSTD: Final = b"\x28\xb5\x2f\xfd"
-_MOST_BYTES: Final = (
-    4 * 4096 * 3072 + 2**20
-)  # Largest message: a raw image of 4096x3072x4, and more.
-_LEAST_ROW: Final = (
-    6  # Bytes of a row beside its blob: two lengths, and the header of three columns and more.
-)
+#: Largest message: a raw image of 4096x3072x4, and more.
+_MOST_BYTES: Final = 4 * 4096 * 3072 + 2**20
+#: Bytes of a row beside its blob: two lengths, and the header of three columns and more.
+_LEAST_ROW: Final = 6
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 RAW = "sensor_msgs/msg/Image"
 TWIST = "geometry_msgs/msg/Twist"
@@ -63,7 +61,7 @@ class Received(NamedTuple):
 
 
 def received(inside: Inside, tally: Tally, topic: str | None = None) -> Iterator[Received]:
-    """Yield the messages of a bag, of one topic or of all; ImportFailure when there is none, or a file is damaged."""
+    """Yield the messages of a bag, of one topic or all; ImportFailure if it is damaged."""
     for name in _files(inside):
         path = inside.regular(name)
         messages = _of_sqlite(path, tally) if path.suffix == ".db3" else _of_mcap(path, tally)
@@ -139,7 +137,7 @@ def _of_sqlite(path: Path, tally: Tally) -> Iterator[Received]:
         ):
             if _is_cdr(form, tally):
                 topics[number] = str(name), str(kind)
-        # In the order in which they were received; to sort them by time could take as much room as they do.
+        # In the order of reception: to sort by time could take as much memory as the messages.
         left = path.stat().st_size
         for number, stamp_ns, data in database.execute(
             "SELECT topic_id, timestamp, data FROM messages ORDER BY rowid"
@@ -152,7 +150,7 @@ def _of_sqlite(path: Path, tally: Tally) -> Iterator[Received]:
 
 
 def _check_plain(database: sqlite3.Connection, table: str) -> None:
-    """Refuse all but a table that holds what is read of it: a view or a generated column could compute for ever."""
+    """Reject a view, a virtual table or a generated column, which could compute for ever."""
     found = database.execute(
         "SELECT type, rootpage FROM sqlite_master WHERE name = ?", (table,)
     ).fetchall()
@@ -175,7 +173,7 @@ def _is_cdr(encoding: object, tally: Tally) -> bool:
 
 
 def _unpacked(data: bytes | memoryview) -> bytes:
-    """Return a message; bags can have each packed by itself, and a packed one can claim to be of any size."""
+    """Return the bytes of a message, unpacked within a limit."""
     whole = bytes(data)
     if not whole.startswith(_ZSTD):
         return whole
@@ -193,23 +191,35 @@ def typestore() -> Any:  # noqa: ANN401 - of a package that may be missing
     """Return the types of ROS messages."""
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - of the extra `formats`
 
-    # The types read and written here are the same in every distribution from Foxy on.
+    # The types in use are the same in every distribution from Foxy on.
     return get_typestore(Stores.ROS2_JAZZY)
 
 
 def _decoded(message: Received) -> Any:  # noqa: ANN401 - as above
-    """Return a message of a type that is known here; ValueError where its bytes are none."""
+    """Decode a message; ValueError if its bytes do not fit its type."""
     try:
         return typestore().deserialize_cdr(message.data, message.type)
     except Exception as error:  # noqa: BLE001
-        # What rosbags raises for bytes that are no message is many things, none of them its caller's business.
+        # rosbags raises many exceptions for malformed bytes.
         raise ValueError(type(error).__name__) from None
+
+
+class _Option(NamedTuple):
+    """An option that chooses a topic."""
+
+    flag: str
+    what: str
+
+
+_CAMERA: Final = _Option("--camera", "image (CompressedImage or Image)")
+_VELOCITY: Final = _Option("--velocity", "velocity (Twist, TwistStamped or Odometry)")
 
 
 @dataclass
 class _Found:
-    """What a bag has, by topic: everything but the images, of which only the times are kept."""
+    """The content of a bag by topic; of images only the times."""
 
+    path: Path
     images: dict[str, list[float]] = field(default_factory=dict)
     velocities: dict[str, list[tuple[float, ...]]] = field(default_factory=dict)
     tracks: dict[str, list[tuple[float, ...]]] = field(default_factory=dict)
@@ -217,7 +227,7 @@ class _Found:
     topics: set[str] = field(default_factory=set)
 
     def take(self, message: Received) -> None:
-        """Take one message; ValueError where it is none of its type."""
+        """Add a message; ValueError if it does not fit its type."""
         topic, kind, time_s, _ = message
         self.topics.add(topic)
         if kind in (COMPRESSED, RAW):
@@ -239,6 +249,48 @@ class _Found:
         elif kind == INFO and topic not in self.cameras:
             self.cameras[topic] = camera_of_ros(_decoded(message))
 
+    def image_topic(self, wish: str | None) -> str:
+        images = list(self.images)
+        return self._chosen(_CAMERA, wish, images, images)
+
+    def velocity_topic(self, wish: str | None) -> str:
+        commands = [topic for topic in self.velocities if topic not in self.tracks]
+        usual = _called(commands, "cmd_vel") or commands or list(self.tracks)
+        return self._chosen(_VELOCITY, wish, usual, list(self.velocities))
+
+    def track_topic(self, velocity: str) -> str | None:
+        """Return the topic of odometry; None if there is none, or several."""
+        if velocity in self.tracks:
+            return velocity
+        tracks = _called(self.tracks, "odom") or list(self.tracks)
+        return tracks[0] if len(tracks) == 1 else None
+
+    def camera_beside(self, image: str) -> Camera | None:
+        """Return the camera of ``/camera/camera_info`` for the images of ``/camera/image``."""
+        folders = [topic.rpartition("/")[0] for topic in self.cameras]
+        beside = [
+            camera
+            for folder, camera in zip(folders, self.cameras.values(), strict=True)
+            if folder and image.startswith(f"{folder}/")
+        ]
+        return beside[0] if len(beside) == 1 else None
+
+    def _chosen(self, option: _Option, wish: str | None, usual: list[str], known: list[str]) -> str:
+        """Return the wished topic, or the only usual one."""
+        if wish in known:
+            return wish
+        if wish is not None:
+            wrong = f"no topic {wish} of {option.what}; there are: {_list(known)}"
+        elif not usual:
+            wrong = f"no topic of {option.what}; it has: {_list(sorted(self.topics))}"
+        elif len(usual) > 1:
+            wrong = (
+                f"several topics of {option.what}: {_list(usual)}; choose one with {option.flag}"
+            )
+        else:
+            return usual[0]
+        raise ImportFailure(f"{self.path}: {wrong}")
+
     def _velocity(self, message: Received, twist: Any) -> None:  # noqa: ANN401 - as above
         _keep(
             self.velocities,
@@ -257,83 +309,39 @@ def _keep(kept: dict[str, list[Any]], topic: str, sample: Any) -> None:  # noqa:
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     """Read a bag; it is one drive."""
     typestore()
-    found = _Found()
+    found = _Found(inside.path)
     for message in received(inside, tally):
         try:
             found.take(message)
         except ValueError:
             tally.count(f"messages of {message.topic} are not what their type says")
-    commands = [topic for topic in found.velocities if topic not in found.tracks]
-    meant = _called(commands, "cmd_vel") or commands or list(found.tracks)
-    image = _chosen(
-        "image (CompressedImage or Image)",
-        "--camera",
-        job.camera,
-        list(found.images),
-        found,
-        inside,
-    )
-    velocity = _chosen(
-        "velocity (Twist, TwistStamped or Odometry)",
-        "--velocity",
-        job.velocity,
-        meant,
-        found,
-        inside,
-    )
-    tracks = (
-        [velocity]
-        if velocity in found.tracks
-        else _called(found.tracks, "odom") or list(found.tracks)
-    )
-    if len(tracks) == 1:
-        tally.say(f"odometry is that of {printable(tracks[0])}")
+    image = found.image_topic(job.camera)
+    velocity = found.velocity_topic(job.velocity)
+    track = found.track_topic(velocity)
+    if track is not None:
+        tally.say(f"odometry is that of {printable(track)}")
     tally.say(f"images are those of {printable(image)}, velocities those of {printable(velocity)}")
-    rows = np.array(found.velocities[velocity]) * (1.0, job.speed or 1.0, job.turn_rate or 1.0)
-    # The camera beside the images: /camera/camera_info of /camera/image.
-    beside = [
-        topic
-        for topic in found.cameras
-        if (at := topic.rpartition("/")[0]) and image.startswith(f"{at}/")
-    ]
-    camera = found.cameras[beside[0]] if len(beside) == 1 else None
-    way = found.tracks[tracks[0]] if len(tracks) == 1 else []
 
     def images() -> Iterator[Image]:
         return (partial(_image, message) for message in received(inside, Tally(), image))
 
-    times_s = np.array(found.images[image])
     return [
-        ImportedDrive.of_rows(inside.path.stem, times_s, images, rows, way, tally, camera=camera)
+        ImportedDrive.of_rows(
+            inside.path.stem,
+            np.array(found.images[image]),
+            images,
+            np.array(found.velocities[velocity]) * (1.0, job.speed or 1.0, job.turn_rate or 1.0),
+            [] if track is None else found.tracks[track],
+            tally,
+            camera=found.camera_beside(image),
+        )
     ]
 
 
 def _called(topics: Collection[str], usual: str) -> list[str]:
-    """Return the topic that has the usual name; none where several have."""
+    """Return the topic with the usual name; nothing if several have it."""
     found = [topic for topic in topics if topic.rpartition("/")[2] == usual]
     return found if len(found) == 1 else []
-
-
-def _chosen(
-    what: str, flag: str, wish: str | None, topics: list[str], found: _Found, inside: Inside
-) -> str:
-    """Return the topic that is wished for, or the only one."""
-    if wish is not None:
-        known = found.images if flag == "--camera" else found.velocities
-        if wish not in known:
-            raise ImportFailure(
-                f"{inside.path}: no topic {wish} of {what}; there are: {_list(known)}"
-            )
-        return wish
-    if not topics:
-        raise ImportFailure(
-            f"{inside.path}: no topic of {what}; it has: {_list(sorted(found.topics))}"
-        )
-    if len(topics) > 1:
-        raise ImportFailure(
-            f"{inside.path}: several topics of {what}: {_list(topics)}; choose one with {flag}"
-        )
-    return topics[0]
 
 
 def _list(topics: Collection[str]) -> str:

@@ -1,4 +1,4 @@
-"""One import: it reads, resamples and writes.
+"""Run an import: read, resample and write.
 
 The libraries that decode Parquet, video and images are written in C and C++, so that ``smal import`` runs `work` in a
 process of its own (`smal.files.confined`).
@@ -8,7 +8,7 @@ import importlib
 import json
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,13 +17,13 @@ import numpy as np
 from schemas.base import ATOMS
 from services.importers.drive import ImportedDrive, ImportFailure, Tally
 from services.importers.inside import Inside
-from services.importers.job import FORMATS, Format, ImportJob, ImportReport
-from services.importers.recording import write
-from services.importers.ticks import nominal
+from services.importers.job import FORMATS, Format, ImportJob, ImportReport, OdometryOrigin
+from services.importers.recording import Written, write
+from services.importers.ticks import Nominal, nominal
 from services.kit.errors import describe_os_error
 from smal.files.confined import ConfinedError, Work
 
-#: What the modules of this package that read a format are called; each has ``read(inside, job, tally)``.
+#: Modules of this package that read a format, by ``read(inside, job, tally)``.
 _READERS: Final[dict[Format, str]] = {form: form for form in FORMATS} | {"folder": "csv_folder"}
 MOST_MEMORY: Final = 2 * 2**30  # Bytes of memory; the numbers of the longest drive take a quarter.
 _PERIOD_S: Final = 0.1  # Between two reports of progress, seconds.
@@ -32,15 +32,28 @@ _PERIOD_S: Final = 0.1  # Between two reports of progress, seconds.
 def run(
     job: ImportJob, tally: Tally, advance: Callable[[int], None] = lambda _total: None
 ) -> ImportReport:
-    """Import, telling ``advance`` of each frame, and of how many; ImportFailure or OSError when that cannot be."""
+    """Import; ``advance`` is called with the number of all frames after each of them.
+
+    Raises
+    ------
+    ImportFailure, OSError
+        If the source cannot be read, or the recordings cannot be written.
+    """
     try:
-        return _run(job, tally, advance)
+        drives = _drives(job, tally)
+        usual = nominal(np.concatenate([drive.motion[:, 1:] for drive in drives]), job.quantile)
+        total = sum(drive.times_s.size for drive in drives)
+        found = [write(drive, job, usual, tally, lambda: advance(total)) for drive in drives]
+        written = [one for one in found if one is not None]
+        if not written:
+            raise ImportFailure(f"{job.path}: nothing to import")
+        return _report(drives, written, usual)
     except ImportFailure as error:
-        # What did not fit may be why.
+        # The cause may be among the counted defects.
         raise ImportFailure("; ".join([str(error), *tally.counted()])) from None
 
 
-def _run(job: ImportJob, tally: Tally, advance: Callable[[int], None]) -> ImportReport:
+def _drives(job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     reader = importlib.import_module(f"services.importers.{_READERS[job.format]}")
     every: list[ImportedDrive] = reader.read(Inside(Path(job.path)), job, tally)
     drives = [drive for drive in every if not job.episodes or drive.name in job.episodes]
@@ -49,21 +62,22 @@ def _run(job: ImportJob, tally: Tally, advance: Callable[[int], None]) -> Import
         raise ImportFailure(
             f"{job.path}: none of the episodes {', '.join(job.episodes)}; there are: {names}"
         )
-    usual = nominal(np.concatenate([drive.motion[:, 1:] for drive in drives]), job.quantile)
-    total = sum(drive.times_s.size for drive in drives)
-    found = [write(drive, job, usual, tally, lambda: advance(total)) for drive in drives]
-    written = [one for one in found if one is not None]
-    if not written:
-        raise ImportFailure(f"{job.path}: nothing to import")
+    return drives
+
+
+def _report(
+    drives: Sequence[ImportedDrive], written: Sequence[Written], usual: Nominal
+) -> ImportReport:
     made = sum((one.atoms for one in written), Counter[str]())
-    origin = (
-        "of the source" if any(drive.track.size for drive in drives) else "reckoned from velocities"
-    )
+    odometry: OdometryOrigin = "none"
+    if any(one.with_odometry for one in written):
+        tracked = any(drive.track.size for drive in drives)
+        odometry = "of the source" if tracked else "reckoned from velocities"
     return ImportReport(
         files=tuple(str(one.path) for one in written),
         ticks=made.total(),
         successes=sum(one.success for one in written),
-        odometry=origin if any(one.with_odometry for one in written) else "none",  # type: ignore[arg-type]
+        odometry=odometry,
         speed=usual.linear,
         turn_rate=usual.angular,
         metric=all(drive.metric for drive in drives),
@@ -72,7 +86,7 @@ def _run(job: ImportJob, tally: Tally, advance: Callable[[int], None]) -> Import
 
 
 def work(request: Any, child: Work) -> dict[str, Any]:  # noqa: ANN401 - JSON
-    """Run a job, given as JSON, in a process of its own; ConfinedError when that cannot be."""
+    """Run a job, given as JSON, in a process of its own; ConfinedError if it fails."""
     job = ImportJob.model_validate_json(json.dumps(request))
     tally = Tally()
     done = 0

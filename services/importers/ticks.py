@@ -1,4 +1,4 @@
-"""Ticks of 10 Hz out of whatever rates a source has, and what the robot did in each.
+"""Resample drives to ticks of 10 Hz, and derive the movement of the robot in each tick.
 
 A tick shows the frame that is nearest to its time. What the robot did in it is how far it went until the next one:
 a velocity holds until the next, but not longer than a base would obey it.
@@ -24,26 +24,24 @@ from services.importers.drive import (
 )
 from smal.movement import seen_from
 
-TICK_S: Final = 0.1  # Time between two ticks, on which the stack runs and learning reckons.
-HOLD_S: Final = (
-    0.5  # A base stops that is told nothing for so long: as ROS drivers have it, twice our gate's.
-)
-GAP_S: Final = (
-    0.125  # Further from any frame a tick has none: below 4 Hz too little of the way is seen.
-)
-_ROUNDING_S: Final = 1e-6  # What times may be off by the rounding of numbers.
+TICK_S: Final = 0.1  # Time between two ticks of the stack and of learning.
+#: Timeout of a base without commands: as in ROS drivers, twice that of our gate.
+HOLD_S: Final = 0.5
+#: Largest distance of a tick from its frame: below 4 Hz too little of the way is visible.
+GAP_S: Final = 0.125
+_ROUNDING_S: Final = 1e-6  # Error of times by rounding.
 _FURTHEST_M: Final = 1e6  # A recording has no pose further from its first.
-#: Slower than this nobody drives or turns on purpose: 2 cm and 6 degrees a second. Of a source without units it is 2 %
-#: of full throttle, and 10 % of full lock at that.
+#: Least deliberate velocities: 2 cm and 6 degrees a second. Without units they are 2 % of full
+#: throttle, and 10 % of full lock at that.
 _LEAST_LINEAR = 0.02
 _LEAST_ANGULAR = 0.1
-#: The nominal speed is that which so many of the moving samples do not exceed, and so is the nominal turn rate: the
-#: fastest few are noise, or a hand that slipped.
+#: Quantile of the moving samples that is the nominal speed, and the nominal turn rate: the fastest
+#: samples are noise or slips.
 QUANTILE: Final = 0.95
 
 
 class Ticks(NamedTuple):
-    """The ticks of a drive with a frame, from `start_s` on: numbers (n,), and frames that they show (n,), ascending."""
+    """The ticks with a frame from `start_s` on: numbers (n,) and frames shown (n,), ascending."""
 
     numbers: NDArray[np.intp]
     frames: NDArray[np.intp]
@@ -51,12 +49,12 @@ class Ticks(NamedTuple):
 
     @property
     def times_s(self) -> Array:
-        """When each was."""
+        """Time of each tick."""
         return np.asarray(self.start_s + TICK_S * self.numbers, dtype=np.float64)
 
 
 def ticks(times_s: Array, from_s: float, to_s: float, tally: Tally) -> Ticks:
-    """Give the ticks of a drive by the times of its frames, and count what becomes of these.
+    """Return the ticks of a drive by the times of its frames, and count the frames left out.
 
     It is cut to a part, in seconds from its first frame; tick 0 is at the first frame within. Times that are not in
     seconds are an `ImportFailure`.
@@ -88,12 +86,12 @@ def ticks(times_s: Array, from_s: float, to_s: float, tally: Tally) -> Ticks:
 
 
 class Moves:
-    """How far the robot goes, from the motion of its drive: a sample holds until the next, at most `HOLD_S`."""
+    """The way of the robot by its motion: a sample holds until the next, at most `HOLD_S`."""
 
     def __init__(self, motion: Array) -> None:
         ends_s = motion[:, 0] + HOLD_S
         silent = np.append(motion[1:, 0], np.inf) > ends_s
-        # Where nothing follows in time the robot stands: a sample of its own, of which the last column tells.
+        # Without a next sample in time the robot stands: a row of its own, marked in the last column.
         stops = np.column_stack([ends_s, np.zeros((len(motion), 2)), np.ones(len(motion))])[silent]
         rows = np.concatenate([np.column_stack([motion, np.zeros(len(motion))]), stops])
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
@@ -103,7 +101,7 @@ class Moves:
         self._sums = np.concatenate([np.zeros((1, 2)), np.cumsum(gone, axis=0)])
 
     def until(self, times_s: Array) -> Array:
-        """Return how far it went, and turned, until each time, (n, 2)."""
+        """Return the way and the turn until each time, (n, 2)."""
         if not self._times_s.size:
             return np.zeros((times_s.size, 2))
         return np.stack([np.interp(times_s, self._times_s, sums) for sums in self._sums.T], axis=1)
@@ -114,7 +112,7 @@ class Moves:
         return mean
 
     def silent(self, times_s: Array) -> int:
-        """Count ticks within which no velocity holds: the robot is taken to stand."""
+        """Count the ticks without any velocity, in which the robot is taken to stand."""
         first, last = (
             np.searchsorted(self._times_s, at_s) - 1
             for at_s in (times_s + _ROUNDING_S, times_s + TICK_S)
@@ -174,14 +172,14 @@ def _tracked(track: Array, times_s: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 class Nominal(NamedTuple):
-    """How fast the robot usually drives and turns, in the source's units."""
+    """The usual speed and turn rate of the robot, in units of the source."""
 
     linear: float
     angular: float
 
 
 def nominal(velocities: Array, quantile: float = QUANTILE) -> Nominal:
-    """Measure it on the samples of all drives, (n, 2): linear and angular; ImportFailure where no robot moves."""
+    """Measure the speeds on the samples of all drives, (n, 2); ImportFailure if no robot moves."""
     linear, angular = np.abs(velocities).T
     driving = linear[linear > _LEAST_LINEAR]
     turning = angular[angular > _LEAST_ANGULAR]
@@ -194,5 +192,5 @@ def nominal(velocities: Array, quantile: float = QUANTILE) -> Nominal:
 
 
 def shares_of(velocities: Array, usual: Nominal) -> list[Velocity]:
-    """Return velocities (n, 2) as shares of what the robot usually does."""
+    """Return velocities (n, 2) as shares of the usual ones."""
     return [Velocity(*share) for share in np.clip(velocities / usual, -1.0, 1.0).round(6).tolist()]

@@ -1,1 +1,1 @@
-"""Writes every message of an episode to a crash-safe MCAP file; what is in it, ``services.recordings.encoding``."""
+"""Write every message of an episode to a crash-safe MCAP file."""

@@ -1,4 +1,4 @@
-"""How long there is room for what is recorded: told in time, and a recording is sealed before there is none."""
+"""Watch the free space for recordings: warn in time, and stop while there is room to seal."""
 
 import errno
 import math
@@ -8,22 +8,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-LOOK_S: Final = 1.0  # How often the disk is looked at.
-_RATE_S: Final = (
-    10.0  # Over how long the rate is measured, and from how much of that on it is known.
-)
-_KNOWN_S: Final = 3.0
-#: Who drives is told when there is room for less than that: time to come to an end, or to make room.
+LOOK_S: Final = 1.0  # Period of the checks.
+_RATE_S: Final = 10.0  # Time over which the rate of writing is measured.
+_KNOWN_S: Final = 3.0  # Least of that time.
+#: The driver is warned at this remaining time: enough to finish, or to make room.
 WARN_S: Final = 600.0
-#: Recording ends while there is room for so much more of it: other programs write to the disk as well.
+#: Recording ends at this remaining time: other programs write to the disk as well.
 _CLOSE_S: Final = 10.0
-LEAST_BYTES: Final = (
-    64 * 2**20
-)  # And for that: the largest image has 16 MB, and the index of a day 28 MB.
+#: Free space that is kept for sealing: the largest image has 16 MB, the index of a day 28 MB.
+LEAST_BYTES: Final = 64 * 2**20
 
 
 class Disk:
-    """Watches the room on a disk; ``free`` returns how many bytes the disk of a folder still takes."""
+    """Watches the free space of a disk; ``free`` returns the free bytes of a folder's disk."""
 
     def __init__(
         self,
@@ -33,17 +30,17 @@ class Disk:
         self._clock = clock
         self._free = free
         self._written: deque[tuple[float, int]] = deque()  # When how many bytes had been written.
-        #: What whoever drives has to know, in one line; None while there is room enough.
+        #: Warning for the driver, in one line; None if there is enough room.
         self.warning: str | None = None
 
     def check_room(self, folder: Path) -> None:
-        """Begin to watch the disk of a folder; raises OSError when there is no room to record, or no such folder."""
+        """Start to watch the disk of a folder; OSError if it is full, or the folder is not found."""
         self._written.clear()
         if not self._told(self._free(folder), 0.0):
             raise OSError(errno.ENOSPC, self.warning)
 
     def look(self, folder: Path, written: int) -> bool:
-        """Return whether there is room to go on after so many recorded bytes; OSError when the folder is gone."""
+        """Whether there is room after so many written bytes; OSError if the folder is gone."""
         now_s = self._clock()
         self._written.append((now_s, written))
         while now_s - self._written[0][0] > _RATE_S:

@@ -1,4 +1,4 @@
-"""The recorder on the bus: every message of an episode in, one file an episode out."""
+"""The recorder on the bus: it writes one file an episode."""
 
 import math
 import time
@@ -23,15 +23,15 @@ from services.recordings.sink import leftovers
 from services.recordings.stream import RecordingError, messages_of
 from services.recordings.writer import EpisodeWriter
 
-#: Messages that wait while the disk is slow, as a multiple of what is replayed at once after an outage.
+#: Queue length for a slow disk, as a multiple of the replayed messages after an outage.
 QUEUE_FACTOR: Final = 2
-#: The file of an episode stays open after its end for what still descends from the last frame: until no tick is missing
-#: and nothing more has come for ``QUIET_S``, or else nothing for ``GRACE_S``.
+#: The file of an episode stays open after its end for late messages: for ``QUIET_S`` without a
+#: message if no tick is missing, else for ``GRACE_S``.
 QUIET_S: Final = 0.2
 GRACE_S: Final = 1.0
-#: Order holds within a topic, not between topics: how long messages wait for the beginning of their episode, how many
-#: of them, and how many bytes. Frames as JPEG of half a megabyte, at 10 Hz, are 25 MB in that time. On a slow machine
-#: what is sent again comes several times over: 16 topics, 300 messages each were seen in a test of 40 frames.
+#: Topics are ordered, but not among each other: messages wait so long for the beginning of their
+#: episode, within these bounds. JPEG of half a megabyte at 10 Hz are 25 MB in that time. A slow
+#: machine receives replayed messages repeatedly: 16 topics of 300 messages in a test of 40 frames.
 EARLY_S: Final = 5.0
 _EARLY_QUEUE: Final = 1 << 15
 _EARLY_BYTES: Final = 64 << 20
@@ -53,19 +53,17 @@ class _Recording:
 
     writer: EpisodeWriter | None
     touched_s: float
-    not_before_s: float = 0.0  # Before that not all of it was sent again: a recorder that was killed had its beginning.
+    not_before_s: float = 0.0  # Until then senders may replay what a killed recorder missed.
     closing: bool = False
-    deadline_s: float = (
-        math.inf
-    )  # When it is finished whatever still comes: nobody told that the episode ended.
+    deadline_s: float = math.inf  # Of an episode whose end was not received.
 
     def complete(self, now_s: float) -> bool:
-        """Whether nothing more is to be expected."""
+        """Whether no more messages are expected."""
         quiet = now_s - self.touched_s >= (QUIET_S if self._whole() else GRACE_S)
         return now_s >= self.deadline_s or (self.closing and quiet and now_s >= self.not_before_s)
 
     def _whole(self) -> bool:
-        """Whether every tick is there, up to the episode's end."""
+        """Whether every tick up to the end of the episode is recorded."""
         writer = self.writer
         return (
             writer is not None
@@ -98,11 +96,11 @@ class RecorderService:
         self._early = Inbox(clock, _EARLY_BYTES)
         self._early.open("early", _EARLY_QUEUE)
         self._files: list[Path] = []
-        #: Episodes of which a killed recorder left the beginning. The rest is sent again, soon after this time.
+        #: Episodes that a killed recorder began. Senders replay the rest soon after this time.
         self._cut: set[str] = set()
-        self._done: set[str] = set()  # Episodes whose recordings go as far as they are meant to go.
+        self._done: set[str] = set()  # Episodes whose recordings are complete.
         self._began_s = 0.0
-        self._given_up: set[Path] = set()  # What it left that cannot be sealed.
+        self._given_up: set[Path] = set()  # Leftovers that cannot be sealed.
         self._sealed: Counter[str] = Counter()
         self._lost = 0
         self._dropped_before = 0
@@ -127,23 +125,23 @@ class RecorderService:
     # -- calls ----------------------------------------------------------------------------------------------------
 
     def start(self, request: RecordRequest) -> None:
-        """Record every episode that begins from now on; one that is being recorded ends up where it began."""
+        """Record the episodes that begin from now on; a running one stays in its file."""
         try:
             self._record_in(below(self._root, request.folder))
         except OSError as error:
             self._node.log.warning("cannot record in %r: %s", request.folder, error)
-            # Why not would tell whoever asks what else there is.
+            # The reason would reveal which other files exist.
             named = printable(request.folder)
             raise ServiceError(
                 f"cannot record in {named!r} below the root of the recorder"
             ) from None
 
     def flush(self, _request: Nothing) -> RecordReply:
-        """Finish the files of the episodes that have ended, and name all files since ``start``."""
+        """Finish the files of ended episodes, and return the names of all files since ``start``."""
         return self._settled(self._folder)
 
     def stop(self, _request: Nothing) -> RecordReply:
-        """Finish every file, also of an episode that still runs, and record no more."""
+        """Finish every file, also of a running episode, and stop recording."""
         folder = self._folder
         self._folder = None
         self._cut = set()
@@ -158,7 +156,7 @@ class RecorderService:
 
     def _record_in(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        # Of such an episode what is still sent is a recording of its own.
+        # The rest of such an episode becomes a recording of its own.
         self._cut = {one.episode for one in self._seal_leftovers(folder) if not one.ended}
         self._began_s = self._clock()
         self._folder = folder.resolve()
@@ -168,34 +166,31 @@ class RecorderService:
         self._node.log.info("recording in %s", self._folder)
 
     def _seal_leftovers(self, folder: Path) -> list[Sealed]:
-        """Seal what a recorder left that was killed, and what there was no room to seal."""
-        done = []
-        for partial in leftovers(folder) - self._given_up:
-            try:
-                one = seal_leftover(partial)
-            except LeftoverError as error:
-                self._given_up.add(partial)
-                self._node.log.warning("%s stays as it is: %s", partial, error)
-            except BlockingIOError:
-                pass  # its recorder lives
-            except OSError as error:
-                self._complain(
-                    f"cannot seal {partial}: {error.strerror or error}; tried again with the next episode"
-                )
-            else:
-                self._node.log.info(
-                    "%s, which was left behind",
-                    f"sealed {one.path}" if one.path else f"removed {partial}",
-                )
-                made = [] if one.path is None else [one.path]
-                self._files = [
-                    file for path in self._files for file in (made if path == partial else [path])
-                ]
-                done.append(one)
-        return done
+        """Seal the files of a killed recorder, and those that had no room to be sealed."""
+        partials = leftovers(folder) - self._given_up
+        return [sealed for sealed in map(self._seal_leftover, partials) if sealed is not None]
+
+    def _seal_leftover(self, partial: Path) -> Sealed | None:
+        try:
+            sealed = seal_leftover(partial)
+        except LeftoverError as error:
+            self._given_up.add(partial)
+            self._node.log.warning("%s stays as it is: %s", partial, error)
+            return None
+        except BlockingIOError:
+            return None  # Its recorder lives.
+        except OSError as error:
+            why = error.strerror or error
+            self._complain(f"cannot seal {partial}: {why}; tried again with the next episode")
+            return None
+        done = f"removed {partial}" if sealed.path is None else f"sealed {sealed.path}"
+        self._node.log.info("%s, which was left behind", done)
+        renamed = (sealed.path if file == partial else file for file in self._files)
+        self._files = [file for file in renamed if file is not None]
+        return sealed
 
     def _settled(self, folder: Path | None) -> RecordReply:
-        """Go on recording until the grace of every ended episode is over, and what a kill cut off is sent again."""
+        """Record until the grace of every ended episode is over, and cut ones are replayed."""
 
         def is_settled() -> bool:
             replayed = not self._cut or self._clock() - self._began_s > EARLY_S
@@ -229,7 +224,7 @@ class RecorderService:
             self._lost += self._early.dropped.total() - lost
 
     def _write_early(self, recording: _Recording, episode: str) -> None:
-        """Record what has come before the beginning of an episode; what is of others waits on."""
+        """Record the messages that came before the beginning of an episode."""
         for _ in range(self._early.waiting()["early"]):
             item = self._early.take(0.0)
             assert item is not None  # noqa: S101 - one thread puts and takes
@@ -240,25 +235,25 @@ class RecorderService:
                 self._early.put("early", message, len(encode(message)))
 
     def seal_complete(self) -> None:
-        """Finish the files of episodes of which nothing more is to be expected."""
+        """Finish the files of complete episodes."""
         now_s = self._clock()
         for episode in [
             episode for episode, recording in self._open.items() if recording.complete(now_s)
         ]:
             self._seal(episode)
-        # Where this machine is slow, the beginning may have come and wait.
+        # On a slow machine the beginning may still wait in the queue.
         while self._node.idle() and self._early.oldest_s() > EARLY_S:
             self._early.take(0.0)
 
     def look_after_files(self) -> None:
-        """Write what waits, and seal what is being recorded while there is room for that."""
+        """Write waiting messages, and seal the recordings before the disk is full."""
         for recording in self._open.values():
             if recording.writer is not None:
                 self._try(recording, recording.writer.flush)
         writing = any(recording.writer is not None for recording in self._open.values())
         if self._open and not writing and self._disk.warning is not None:
-            return  # who drives has to know it for as long as nothing is recorded
-        with suppress(OSError):  # the folder is gone, as the next message says
+            return  # The warning must stay as long as nothing is recorded.
+        with suppress(OSError):  # The folder is gone, as the next write reports.
             if self._folder is None or self._disk.look(self._folder, self._figures()["size"]):
                 return
             for recording in self._open.values():
@@ -281,7 +276,7 @@ class RecorderService:
     def _begin(self, started: Episode, folder: Path) -> None:
         if started.episode in self._open or self._is_recorded(started.episode, folder):
             return
-        # A robot runs one episode at a time: a new one means that the end of the last did not reach us.
+        # A robot runs one episode at a time: the end of the last episode was lost.
         self._close_all()
         self._seal_leftovers(folder)
         writer = None
@@ -302,7 +297,7 @@ class RecorderService:
             self._try(recording, lambda: writer.write(message))
 
     def _try(self, recording: _Recording, write: Callable[[], None]) -> None:
-        """Write to a recording; finish it where that fails."""
+        """Write to a recording; finish it if that fails."""
         try:
             write()
         except OSError as error:
@@ -332,9 +327,8 @@ class RecorderService:
             )
         self._lost += writer.waiting
         self._files.append(path)
-        self._sealed = self._sealed + _figures(
-            writer
-        )  # another one: `detail` may be adding up this one
+        # A new object: `detail` may be adding up the old one.
+        self._sealed = self._sealed + _figures(writer)
         gaps = "; ".join(
             f"{topic} lacks frames {ticks}" for topic, ticks in writer.ledger.gaps().items()
         )
@@ -349,12 +343,12 @@ class RecorderService:
     # -- health ---------------------------------------------------------------------------------------------------
 
     def _figures(self) -> Counter[str]:
-        # A thread of the bus asks as well: list() takes the open recordings at one moment.
+        # A thread of the bus calls this, too: list() copies the open recordings at once.
         writers = [recording.writer for recording in list(self._open.values())]
         return sum((_figures(writer) for writer in writers if writer is not None), self._sealed)
 
     def detail(self) -> Detail:
-        """Tell what was recorded so far."""
+        """Return the figures of this process."""
         totals = self._figures()
         return {
             "root": str(self._root),
@@ -372,7 +366,7 @@ class RecorderService:
 
 
 def _has_end(path: Path) -> bool:
-    """Whether a recording goes to the end of its episode; one that cannot be read counts as whole."""
+    """Whether a recording holds the end of its episode; an unreadable one counts as whole."""
     events = (one.event for one in _events_in(path))
     with suppress(RecordingError):
         return "ended" in events
@@ -386,7 +380,7 @@ def _events_in(path: Path) -> Iterator[Episode]:
 
 
 def _figures(writer: EpisodeWriter) -> Counter[str]:
-    """Return the figures of one recording, to be added up."""
+    """Return the figures of a recording, to be summed."""
     ledger = writer.ledger
     messages = writer.messages - writer.waiting
     return Counter(

@@ -1,1 +1,1 @@
-"""Recordings of episodes: their format, writing, reading, recovery, and the drives that they teach."""
+"""Recordings of episodes: format, writing, reading, recovery, and the demonstrations in them."""

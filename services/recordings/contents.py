@@ -1,4 +1,4 @@
-"""What is in a recording, and what is wrong with it: for people, who have many of them."""
+"""Summarise the contents and the defects of a recording."""
 
 import math
 from collections import Counter, defaultdict
@@ -16,7 +16,6 @@ from schemas.codec import printable
 from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.motion import Odometry
-from schemas.observation import Observation
 from schemas.topics import JPEG, TOPICS, Topic
 from services.kit.cameras import camera_of
 from services.recordings.ledger import Ledger
@@ -24,7 +23,7 @@ from services.recordings.records import MemoryLimitError
 from services.recordings.sink import PARTIAL_SUFFIX
 from services.recordings.stream import (
     RecordingError,
-    Stored,
+    StoredMessage,
     being_recorded,
     messages,
     open_recording,
@@ -33,13 +32,7 @@ from services.recordings.survey import summary_of, surveyed
 from services.recordings.views import is_view
 from services.recordings.writer import EPISODE_METADATA
 
-_SAID: Final = (
-    "world",
-    "seed",
-    "purpose",
-    "goal",
-    "driver",
-)  # Who drove where; see `schemas.episode`.
+_SAID: Final = ("world", "seed", "purpose", "goal", "driver")  # See `schemas.episode`.
 
 
 @dataclass
@@ -51,8 +44,8 @@ class Counted:
     first_ns: int = 2**64
     last_ns: int = 0
 
-    def add(self, stored: Stored) -> None:
-        """Count one."""
+    def add(self, stored: StoredMessage) -> None:
+        """Count a message."""
         self.first_ns = min(self.first_ns, stored.stamp_ns)
         self.last_ns = max(self.last_ns, stored.stamp_ns)
         self.messages += 1
@@ -60,7 +53,7 @@ class Counted:
 
     @property
     def rate_hz(self) -> float | None:
-        """From the first to the last; None where that is one moment."""
+        """Mean rate; None if all messages have one stamp."""
         elapsed_ns = self.last_ns - self.first_ns
         return (self.messages - 1) * 1e9 / elapsed_ns if elapsed_ns > 0 else None
 
@@ -71,35 +64,30 @@ class EpisodeContents:
 
     robot: str
     episode: str
-    said: dict[str, str | int] = field(
-        default_factory=dict
-    )  # World, seed, purpose, goal and driver.
+    #: World, seed, purpose, goal and driver.
+    said: dict[str, str | int] = field(default_factory=dict)
     outcome: str | None = None
-    judge: str | None = None  # Who says so.
-    drove: dict[str, int] = field(
-        default_factory=dict
-    )  # Ticks by whose command moved the robot last in them.
+    judge: str | None = None  # Of the outcome.
+    #: Ticks by the source of the last command applied in them.
+    drove: dict[str, int] = field(default_factory=dict)
     topics: defaultdict[str, Counted] = field(default_factory=lambda: defaultdict(Counted))
     width: int | None = None
     height: int | None = None
     field_of_view_deg: float | None = None
-    modalities: tuple[str, ...] = ()
     odometry_m: float | None = None  # Way by the wheels.
 
     @property
     def frames(self) -> int:
-        """How many images there are."""
+        """Number of images."""
         return self.topics[JPEG.name].messages if JPEG.name in self.topics else 0
 
     @property
     def seconds(self) -> float:
-        """From the first message to the last."""
+        """Time from the first message to the last."""
         counted = self.topics.values()
-        return (
-            (max(one.last_ns for one in counted) - min(one.first_ns for one in counted)) / 1e9
-            if counted
-            else 0.0
-        )
+        if not counted:
+            return 0.0
+        return (max(one.last_ns for one in counted) - min(one.first_ns for one in counted)) / 1e9
 
 
 @dataclass
@@ -109,40 +97,65 @@ class Contents:
     path: Path
     state: str  # ``sealed``, ``not sealed``, or ``being recorded``.
     size: int
-    about: dict[str, str] = field(
-        default_factory=dict
-    )  # What the recorder wrote of itself: software, when.
+    about: dict[str, str] = field(default_factory=dict)  # Metadata: software, time of recording.
     episodes: list[EpisodeContents] = field(default_factory=list)
-    views: int = 0  # Messages that are there for viewers, derived from the rest.
+    views: int = 0  # Messages for viewers, derived from the others.
     views_size: int = 0
-    others: int = 0  # Messages of topics that are not ours.
-    damage: list[str] = field(default_factory=list)  # What is wrong in the file, a line each.
-    lacks: list[str] = field(default_factory=list)  # What never came into it.
+    others: int = 0  # Messages of foreign topics.
+    damage: list[str] = field(default_factory=list)  # Defects of the file, a line each.
+    lacks: list[str] = field(default_factory=list)  # Missing messages, a line each.
 
     @property
     def findings(self) -> list[str]:
-        """All that is wrong with it."""
+        """All defects."""
         return [*self.damage, *self.lacks]
 
 
 def verify(path: Path) -> Contents:
-    """Read all of a recording: every checksum, every message, every tick; raises as `contents_of`."""
+    """Check every checksum, message and tick of a recording; raises as `contents_of`."""
     return contents_of(path, thorough=True)
 
 
 def contents_of(path: Path, *, thorough: bool = False) -> Contents:
-    """Tell what is in a recording; RecordingError when it is none, or unpacks to too much."""
-    recorded = being_recorded(path)
+    """Return the contents of a recording.
+
+    Raises
+    ------
+    RecordingError
+        If the file is no recording, or unpacks to too much.
+    """
     data = open_recording(path, living=True)
-    left = path.suffix == PARTIAL_SUFFIX
-    sealed = not left and summary_of(data) is not None
-    contents = Contents(
-        path, "being recorded" if recorded else "sealed" if sealed else "not sealed", len(data)
-    )
-    if not sealed:
+    contents = Contents(path, _state_of(path, data), len(data))
+    if contents.state != "sealed":
+        left = path.suffix == PARTIAL_SUFFIX
         why = "left behind" if left else "its end, with the index, is missing or damaged"
         contents.damage.append(f"{contents.state}: {why}")
-    found: dict[tuple[str, str], _Reading] = {}
+    episodes: dict[tuple[str, str], _Reading] = {}
+    for topic, stored in _episode_messages(contents, data):
+        ids = stored.robot, stored.episode
+        if ids not in episodes:
+            episodes[ids] = _Reading(EpisodeContents(*ids), thorough)
+        episodes[ids].take(topic, stored)
+    contents.episodes = [reading.summed_up() for reading in episodes.values()]
+    if thorough:
+        for reading in episodes.values():
+            reading.conclude(contents)
+        if not episodes:
+            contents.lacks.append("holds no episode")
+    return contents
+
+
+def _state_of(path: Path, data: memoryview) -> str:
+    if being_recorded(path):
+        return "being recorded"
+    left = path.suffix == PARTIAL_SUFFIX
+    return "not sealed" if left or summary_of(data) is None else "sealed"
+
+
+def _episode_messages(
+    contents: Contents, data: memoryview
+) -> Iterator[tuple[Topic, StoredMessage]]:
+    """Yield the messages of our topics, and count the others."""
     try:
         for stored in messages(_noting(contents, surveyed(data, contents.damage.append))):
             if is_view(stored.key):
@@ -151,20 +164,11 @@ def contents_of(path: Path, *, thorough: bool = False) -> Contents:
             elif stored.topic is None:
                 contents.others += 1
             else:
-                ids = stored.robot, stored.episode
-                reading = found.get(ids) or found.setdefault(
-                    ids, _Reading(EpisodeContents(*ids), thorough)
-                )
-                reading.take(stored.topic, stored)
+                yield stored.topic, stored
     except MemoryLimitError as error:
-        raise RecordingError(f"{path}: {error}; unpack it first (mcap decompress)") from None
-    contents.episodes = [reading.told() for reading in found.values()]
-    if thorough:
-        for reading in found.values():
-            reading.conclude(contents)
-        if not found:
-            contents.lacks.append("holds no episode")
-    return contents
+        raise RecordingError(
+            f"{contents.path}: {error}; unpack it first (mcap decompress)"
+        ) from None
 
 
 def _noting(contents: Contents, records: Iterable[McapRecord]) -> Iterator[McapRecord]:
@@ -186,9 +190,9 @@ class _Reading:
         self._began = False
         self._end: int | None = None
 
-    def take(self, topic: Topic, stored: Stored) -> None:
+    def take(self, topic: Topic, stored: StoredMessage) -> None:
         self.episode.topics[topic.name].add(stored)
-        if not self._thorough and not self._tells(topic):
+        if not self._thorough and not self._is_needed(topic):
             return
         try:
             message = stored.message(pixels=self._thorough)
@@ -201,12 +205,10 @@ class _Reading:
             if not self._ledger.admit(message):
                 self._twice[topic.name].append(stored.tick)
 
-    def _tells(self, topic: Topic) -> bool:
-        """Whether a message says something about the episode as a whole; of large ones the first is enough."""
+    def _is_needed(self, topic: Topic) -> bool:
+        """Whether a message describes the episode as a whole; the first image is enough."""
         if topic is JPEG:
             return self.episode.width is None
-        if topic.message is Observation:
-            return not self.episode.modalities
         return issubclass(topic.message, Episode | CommandApplied | CameraInfo | Odometry)
 
     def _note(self, message: Message) -> None:
@@ -228,19 +230,16 @@ class _Reading:
                 episode.height = message.height
             case CameraInfo():
                 episode.field_of_view_deg = camera_of(message).field_deg
-            case Observation():
-                episode.modalities = message.modalities
             case Odometry():
                 self._places[message.tick] = message.x_m, message.y_m
             case _:
                 pass
 
-    def told(self) -> EpisodeContents:
+    def summed_up(self) -> EpisodeContents:
         self.episode.drove = dict(Counter(driver for _, driver in self._drivers.values()))
         if self._places:
-            way = [
-                self._places[tick] for tick in sorted(self._places)
-            ]  # One may have come late, after an outage.
+            # After an outage a pose may have come late.
+            way = [self._places[tick] for tick in sorted(self._places)]
             self.episode.odometry_m = sum(starmap(math.dist, pairwise(way)), 0.0)
         return self.episode
 
@@ -267,7 +266,7 @@ class _Reading:
 
 
 def named_topics(episode: EpisodeContents) -> Iterator[tuple[str, Counted]]:
-    """Yield what was recorded, in the order of the table of topics."""
+    """Yield the recorded topics in the order of the table."""
     for name in TOPICS:
         if name in episode.topics:
             yield name, episode.topics[name]

@@ -1,4 +1,4 @@
-"""What a message looks like in an MCAP file: images as JPEG that every viewer shows, the rest as JSON with its schema.
+"""Messages in an MCAP file: images as JPEG for every viewer, the rest as JSON with its schema.
 
 The topic is the message's Zenoh key. The channel's metadata names robot and episode, so that episodes stay apart when
 recordings are merged, and the record's sequence number is the tick.
@@ -22,14 +22,13 @@ from schemas.base import Message
 from schemas.camera import CompressedImage
 from services.kit.jpeg import decode_jpeg
 
-CAMERA_FRAME: Final = (
-    "camera"  # Frame of the camera, for viewers: x to the right in the image, y down, z into it.
-)
+#: Frame of the camera, for viewers: x to the right in the image, y down, z into it.
+CAMERA_FRAME: Final = "camera"
 
 
 @dataclass(frozen=True)
 class ChannelFormat:
-    """How the messages of one class are written; encodings are well-known names of the MCAP registry."""
+    """Encoding of the messages of a class, by names of the MCAP registry."""
 
     schema_name: str
     schema_encoding: str
@@ -39,7 +38,7 @@ class ChannelFormat:
 
 @cache
 def format_of(message: type[Message]) -> ChannelFormat:
-    """Return how the messages of a class are written."""
+    """Return the encoding of the messages of a class."""
     if issubclass(message, CompressedImage):
         return protobuf_format(foxglove.CompressedImage)
     schema = json.dumps(plain_json_schema(message)).encode()
@@ -47,7 +46,7 @@ def format_of(message: type[Message]) -> ChannelFormat:
 
 
 def payload_of(message: Message) -> bytes:
-    """Return the bytes that stand in the file for a message."""
+    """Return the bytes of a message in the file."""
     if not isinstance(message, CompressedImage):
         return message.model_dump_json().encode()
     packed = foxglove.CompressedImage(
@@ -65,12 +64,12 @@ def timestamp(stamp_ns: int) -> Timestamp:
 
 
 def decode_image(payload: bytes) -> NDArray[np.uint8]:
-    """Return the (height, width, 3) RGB pixels of a recorded image; raises ValueError when the payload is no image."""
+    """Return the RGB pixels (height, width, 3) of a recorded image; ValueError if it is none."""
     return decode_jpeg(stamped_jpeg(payload)[1])
 
 
 def stamped_jpeg(payload: bytes) -> tuple[int, bytes]:
-    """Return when an image was captured, nanoseconds since 1970, and its JPEG; raises ValueError if it is none."""
+    """Return the stamp of an image in nanoseconds, and its JPEG; ValueError if it is none."""
     try:
         image = foxglove.CompressedImage.FromString(payload)
     except ProtobufDecodeError:
@@ -80,7 +79,7 @@ def stamped_jpeg(payload: bytes) -> tuple[int, bytes]:
 
 @cache
 def protobuf_format(message: type[ProtobufMessage]) -> ChannelFormat:
-    """Return how the messages of a class of protobuf are written: with its descriptor, and before it all it imports."""
+    """Return the encoding of a protobuf class, with its descriptor and those that it imports."""
     files: dict[str, FileDescriptor] = {}
 
     def collect(file: FileDescriptor) -> None:
@@ -100,28 +99,34 @@ def protobuf_format(message: type[ProtobufMessage]) -> ChannelFormat:
 def plain_json_schema(message: type[Message]) -> dict[str, Any]:
     """Return a message's JSON Schema in the plain form that viewers read.
 
-    Foxglove wants a ``type`` in every field and knows neither ``$ref`` nor ``anyOf`` nor ``prefixItems``: references
-    are written out, a field that may be null has the type of its other values, as have the values of a tuple.
+    Foxglove needs a ``type`` in every field, and supports neither ``$ref`` nor ``anyOf`` nor
+    ``prefixItems``. References are written out. A field that may be null has the type of its other
+    values, and so have the values of a tuple.
     """
     schema = message.model_json_schema()
     definitions = schema.pop("$defs", {})
+    return cast("dict[str, Any]", _plain(schema, definitions))
 
-    def plain(node: Any) -> Any:  # noqa: ANN401 - any JSON value
-        if isinstance(node, list):
-            return [plain(item) for item in node]
-        if not isinstance(node, dict):
+
+def _plain(node: Any, definitions: dict[str, Any]) -> Any:  # noqa: ANN401 - any JSON value
+    if isinstance(node, list):
+        return [_plain(item, definitions) for item in node]
+    if not isinstance(node, dict):
+        return node
+    resolved = _resolved(node, definitions)
+    return {key: _plain(value, definitions) for key, value in resolved.items()}
+
+
+def _resolved(node: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    """Return a node without ``anyOf``, ``$ref`` and ``prefixItems`` of its own."""
+    match node:
+        case {"anyOf": options, **rest}:
+            (other,) = [option for option in options if option.get("type") != "null"]
+            rest.pop("default", None)
+            return _resolved(other | rest, definitions)
+        case {"$ref": name, **rest}:
+            return _resolved(definitions[name.removeprefix("#/$defs/")] | rest, definitions)
+        case {"prefixItems": [first, *others], **rest} if others.count(first) == len(others):
+            return rest | {"items": first}
+        case _:
             return node
-        if "anyOf" in node:
-            (other,) = [option for option in node["anyOf"] if option.get("type") != "null"]
-            node = other | {k: v for k, v in node.items() if k not in ("anyOf", "default")}
-        if "$ref" in node:
-            node = definitions[node["$ref"].removeprefix("#/$defs/")] | {
-                k: v for k, v in node.items() if k != "$ref"
-            }
-        if "prefixItems" in node:
-            first, *others = node["prefixItems"]
-            assert all(other == first for other in others)  # noqa: S101 - of our own messages
-            node = {k: v for k, v in node.items() if k != "prefixItems"} | {"items": first}
-        return {key: plain(value) for key, value in node.items()}
-
-    return cast("dict[str, Any]", plain(schema))

@@ -1,4 +1,4 @@
-"""What an episode's recording has and what it lacks: which messages were sent again, which ticks never came."""
+"""Account for the messages of an episode: repeated messages and missing ticks."""
 
 from array import array
 from bisect import bisect_left, bisect_right
@@ -9,32 +9,31 @@ from typing import Final, get_args
 from schemas.base import Message
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode, EventName
-from schemas.topics import APPLIED, JPEG, OBSERVATION, POSE, STATE
+from schemas.topics import APPLIED, JPEG, POSE, STATE
 
-#: Topics with a message for every tick. At its end an episode has no command applied and perhaps no state any more.
-EVERY_TICK: Final = (JPEG.name, POSE.name, OBSERVATION.name, STATE.name, APPLIED.name)
-TO_THE_END: Final = (JPEG.name, POSE.name, OBSERVATION.name)
-_EVENTS: Final = get_args(EventName)  # In the order in which they happen within a tick.
+#: Topics with a message for every tick. The last tick has no applied command, and perhaps no state.
+EVERY_TICK: Final = (JPEG.name, POSE.name, STATE.name, APPLIED.name)
+TO_THE_END: Final = (JPEG.name, POSE.name)
+_EVENTS: Final = get_args(EventName)  # In their order within a tick.
 
-#: Most messages of a topic within a tick, ten a second for a quarter of an hour; more are not recorded, for each takes
-#: half a kilobyte here.
+#: Most recorded messages of a topic within a tick: ten a second for a quarter of an hour, half a
+#: kilobyte of memory each.
 _MOST_PLACES: Final = 10_000
 
 
 def place_of(message: Message) -> int:
-    """Return the place of a message among those of its topic and tick; no two have the same."""
+    """Return the unique place of a message within its topic and tick."""
     if isinstance(message, Episode):
         return _EVENTS.index(message.event)
     return message.sequence if isinstance(message, Command | CommandApplied) else 0
 
 
 class Spans:
-    """A set of whole numbers as spans of successive ones: a drive of hours that lacks nothing is a single one."""
+    """A set of whole numbers as spans: a drive of hours without a gap is a single span."""
 
     def __init__(self) -> None:
-        self._bounds = array(
-            "q"
-        )  # Ascending: where a span begins, the first number behind it, and so on.
+        #: Ascending: the first number of a span, the first number behind it, and so on.
+        self._bounds = array("q")
         self.count = 0
 
     def add(self, number: int) -> bool:
@@ -43,7 +42,7 @@ class Spans:
             return False
         self.count += 1
         for bound in (number, number + 1):
-            # Where a span ends and another begins there is no bound.
+            # Two adjoining spans are one.
             at = bisect_left(self._bounds, bound)
             if at < len(self._bounds) and self._bounds[at] == bound:
                 self._bounds.pop(at)
@@ -62,7 +61,7 @@ class Spans:
 
 
 class Ledger:
-    """Keeps account of the messages of one episode, which may come again, and late, after others of their topic."""
+    """Accounts for the messages of one episode, in any order."""
 
     def __init__(self) -> None:
         self._seen: defaultdict[tuple[str, int], Spans] = defaultdict(Spans)
@@ -83,13 +82,13 @@ class Ledger:
         return True
 
     def close(self, end_tick: int) -> None:
-        """Note that the episode ended at this tick: so far every topic reaches that was recorded at all."""
+        """Note the last tick of the episode, which every recorded topic must reach."""
         for topic in TO_THE_END:
             if self._ticks[topic].count:
                 self._last[topic] = max(self._last[topic], end_tick)
 
     def whole(self, end_tick: int) -> bool:
-        """Whether nothing is missing of an episode that ended at this tick."""
+        """Whether an episode that ended at this tick is complete."""
         reach = all(
             self._last[topic] >= end_tick for topic in TO_THE_END if self._ticks[topic].count
         )
@@ -97,7 +96,7 @@ class Ledger:
 
     @property
     def gap_ticks(self) -> int:
-        """How many messages of per-tick topics are missing."""
+        """Number of missing messages of per-tick topics."""
         return sum(self._last[topic] + 1 - ticks.count for topic, ticks in self._ticks.items())
 
     def gaps(self) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""What a recorder left that was killed, or whose disk was full, is sealed in its place, without an index."""
+"""Seal the file of a recorder that was killed, or whose disk was full, without an index."""
 
 import os
 from contextlib import suppress
@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple, cast
 from mcap.data_stream import RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, DataEnd, Footer, Message, Metadata
+from mcap.records import Channel, Chunk, DataEnd, Footer, Message, Metadata
 
 from schemas.topics import EPISODE, topic_of
 from services.kit.errors import JobError
@@ -16,6 +16,7 @@ from services.recordings.records import (
     MAGIC,
     UNREADABLE,
     Bounds,
+    Head,
     chunk_of,
     heads,
     inside,
@@ -26,28 +27,34 @@ from services.recordings.sink import Sink, claim, finished, publish
 from services.recordings.survey import ChunkSearch
 from services.recordings.writer import GAPS_METADATA
 
-_UNSURE: Final = (
-    16 * 2**20
-)  # May not have reached the disk at a power failure: checksums are checked there.
+#: Bytes at the end that a power failure may have kept from the disk: their checksums are checked.
+_UNSURE: Final = 16 * 2**20
+_BEFORE_THE_END: Final = (Opcode.HEADER, Opcode.MESSAGE_INDEX, Opcode.METADATA, Opcode.CHUNK)
 
 
 class LeftoverError(JobError):
-    """What was left cannot be sealed, and stays as it is."""
+    """A leftover cannot be sealed, and stays as it is."""
 
 
 class Sealed(NamedTuple):
-    """What became of a leftover."""
+    """The result of sealing a leftover."""
 
-    path: Path | None  # The recording; None where no message was in it, and it is removed.
-    episode: str  # Its id; empty where it does not tell.
-    ended: bool  # Whether the end of the episode is in it.
+    path: Path | None  # The recording; None if it held no message, and is deleted.
+    episode: str  # Its id; empty if unknown.
+    ended: bool  # Whether it holds the end of the episode.
 
 
 def seal_leftover(partial: Path) -> Sealed:
-    """Seal what a dead recorder left; what was cut off at its end is lost.
+    """Seal what a dead recorder left; a record that is cut off at its end is lost.
 
-    Raises LeftoverError when it is not the recording of an episode, or damaged; OSError when it cannot be opened, its
-    recorder lives (BlockingIOError), or there is no room for its end.
+    Raises
+    ------
+    LeftoverError
+        If the file is not the recording of an episode, or is damaged.
+    BlockingIOError
+        If its recorder lives.
+    OSError
+        If the file cannot be opened, or the disk is full.
     """
     descriptor = claim(partial)
     try:
@@ -74,7 +81,7 @@ def seal_leftover(partial: Path) -> Sealed:
 
 
 class _Look:
-    """Takes record after record: where all that is whole ends, and what it tells of its episode."""
+    """Reads the records of a leftover: the size of the whole ones, its episode, and whether it ended."""
 
     def __init__(self, data: memoryview) -> None:
         self._data = data
@@ -90,7 +97,7 @@ class _Look:
             whole = data[: self.size] == MAGIC and self._take_all()
         if not self.episode:
             raise LeftoverError("it is not the recording of an episode")
-        # What is not whole may be a chunk at the end, or zeros; what is damaged before hides what is whole.
+        # The last record may be cut off or zeros; earlier damage hides whole records.
         head = next(heads(data, self.size), None)
         is_last = head is None or head.end > len(data) or head.opcode in (0, Opcode.CHUNK)
         if not whole and not (
@@ -99,32 +106,34 @@ class _Look:
             raise LeftoverError(f"it is damaged at byte {self.size}; see smal recording repair")
 
     def _take_all(self) -> bool:
-        """Return whether the end of the records was reached."""
-        while (head := next(heads(self._data, self.size), None)) is not None and head.end <= len(
-            self._data
-        ):
-            body = self._data[head.begin : head.end]
-            match head.opcode:
-                case Opcode.HEADER | Opcode.MESSAGE_INDEX:
-                    pass
-                case Opcode.METADATA:
-                    record = cast("Metadata", record_of(Opcode.METADATA, body))
-                    self.episode = record.metadata.get("episode", self.episode)
-                    # It is the first thing that is written when an episode is over.
-                    self.ended |= record.name == GAPS_METADATA
-                case Opcode.CHUNK:
-                    chunk = chunk_of(body)
-                    if chunk.compression:
-                        raise McapError("a chunk that is none of a recorder's")
-                    for one in inside(
-                        chunk, Bounds(len(self._data)), checked=head.end > len(self._data) - _UNSURE
-                    ):
-                        if isinstance(one, Channel) and topic_of(one.topic) is EPISODE:
-                            self._events.add(one.id)
-                        elif isinstance(one, Message) and one.channel_id in self._events:
-                            self.ended |= b'"event":"ended"' in bytes(one.data)
-                    self.chunks += 1
-                case other:
-                    return other == Opcode.DATA_END
+        """Take whole records; return whether the end of the records was reached."""
+        for head in heads(self._data, self.size):
+            if head.end > len(self._data):
+                return False
+            if not self._take(head):
+                return head.opcode == Opcode.DATA_END
             self.size = head.end
         return self.size == len(self._data)
+
+    def _take(self, head: Head) -> bool:
+        """Take a record; return whether the recorder writes such records before the end."""
+        body = self._data[head.begin : head.end]
+        if head.opcode == Opcode.METADATA:
+            record = cast("Metadata", record_of(Opcode.METADATA, body))
+            self.episode = record.metadata.get("episode", self.episode)
+            # The gaps are the first record that is written after an episode.
+            self.ended |= record.name == GAPS_METADATA
+        elif head.opcode == Opcode.CHUNK:
+            is_sure = head.end <= len(self._data) - _UNSURE
+            self._take_chunk(chunk_of(body), checked=not is_sure)
+            self.chunks += 1
+        return head.opcode in _BEFORE_THE_END
+
+    def _take_chunk(self, chunk: Chunk, *, checked: bool) -> None:
+        if chunk.compression:
+            raise McapError("a chunk that no recorder of ours wrote")
+        for one in inside(chunk, Bounds(len(self._data)), checked=checked):
+            if isinstance(one, Channel) and topic_of(one.topic) is EPISODE:
+                self._events.add(one.id)
+            elif isinstance(one, Message) and one.channel_id in self._events:
+                self.ended |= b'"event":"ended"' in bytes(one.data)

@@ -1,37 +1,25 @@
-"""Reads recordings back, also truncated ones: for each episode what camera and actuator did, tick by tick."""
+"""Read recordings, also truncated ones, as episodes."""
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Final
-
-import numpy as np
-from numpy.typing import NDArray
 
 from schemas.camera import CameraInfo
 from schemas.command import CommandApplied
 from schemas.episode import Episode
-from schemas.motion import Imu, Odometry, Pose
-from schemas.observation import Observation
-from schemas.topics import APPLIED, CAMERA_INFO, EPISODE, JPEG, OBSERVATION, ODOMETRY, POSE, Topic
+from schemas.motion import Imu, Odometry, TruePose
+from schemas.topics import APPLIED, CAMERA_INFO, EPISODE, JPEG, ODOMETRY, POSE, Topic
 from services.recordings.recorded import RecordedEpisode
-from services.recordings.records import MAGIC, Allowance, copied, mapped
-from services.recordings.stream import RecordingError, Stored, messages_of
+from services.recordings.records import MAGIC, Allowance, mapped
+from services.recordings.stream import RecordingError, StoredMessage, messages_of
 
-USUAL: Final = (
-    JPEG,
-    CAMERA_INFO,
-    ODOMETRY,
-    POSE,
-    OBSERVATION,
-    APPLIED,
-)  # For teaching, and to be drawn.
+USUAL: Final = (JPEG, CAMERA_INFO, ODOMETRY, POSE, APPLIED)  # For teaching, and for plots.
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a file holds."""
+    """The episodes of a file."""
 
     path: Path
     episodes: tuple[RecordedEpisode, ...]  # In order of appearance.
@@ -39,7 +27,7 @@ class Recording:
     bad: int  # Messages that are not what their topic says; they were left out.
 
     def remarks(self) -> Iterator[str]:
-        """Yield one line for everything that is not as it should be."""
+        """Yield a line for each defect."""
         if self.truncated:
             yield f"{self.path}: truncated; the {sum(one.frames for one in self.episodes)} whole frames are read"
         if self.bad:
@@ -47,15 +35,15 @@ class Recording:
 
 
 def read_recording(
-    path: Path,
-    fingerprint: str | None = None,
-    allowance: Allowance | None = None,
-    topics: Collection[Topic] = USUAL,
+    path: Path, allowance: Allowance | None = None, topics: Collection[Topic] = USUAL
 ) -> Recording:
-    """Read a recording, sealed or left behind: the events of episodes, and some topics, within an ``allowance``.
+    """Read the episodes and some topics of a recording, sealed or left behind.
 
-    Feature vectors are taken with one ``fingerprint``, or none. RecordingError where the file cannot be read, is no
-    MCAP file, holds no episode or no frame, is being recorded, or takes too much memory.
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read, is not an MCAP file, holds no episode or no frame, is being
+        recorded, or takes more memory than the ``allowance``.
     """
     found: dict[tuple[str, str], RecordedEpisode] = {}
     bad = 0
@@ -66,7 +54,7 @@ def read_recording(
             episode.images.setdefault(stored.tick, stored.payload)
             continue
         try:
-            _take(episode, stored, fingerprint)
+            _take(episode, stored)
         except ValueError:
             bad += 1
     episodes = tuple(episode for episode in found.values() if episode.purpose is not None)
@@ -77,13 +65,8 @@ def read_recording(
     return Recording(path, episodes, mapped(path)[-len(MAGIC) :] != MAGIC, bad)
 
 
-def _features(payload: memoryview) -> NDArray[np.float32]:
-    """Return the features of a recorded observation."""
-    return Observation.model_validate_json(copied(payload)).features.to_numpy()
-
-
-def _take(episode: RecordedEpisode, stored: Stored, fingerprint: str | None) -> None:
-    """Take what a message tells; of several of a tick the first."""
+def _take(episode: RecordedEpisode, stored: StoredMessage) -> None:
+    """Add a message to its episode; the first of a tick counts, but the last applied command."""
     message = stored.message()
     tick = message.tick
     match message:
@@ -97,16 +80,14 @@ def _take(episode: RecordedEpisode, stored: Stored, fingerprint: str | None) -> 
                 episode.outcome = message.outcome
                 episode.end_tick = tick
                 episode.box = message.box
-        case Observation() if message.fingerprint == fingerprint:
-            episode.features.setdefault(tick, partial(_features, stored.payload))
         case CommandApplied():
-            # Several in one tick: the last is what moved the robot on to the next frame.
+            # The last of a tick moved the robot to the next frame.
             last = episode.applied.setdefault(tick, message)
             if message.sequence > last.sequence:
                 episode.applied[tick] = message
         case CameraInfo():
             episode.camera = message
-        case Pose():
+        case TruePose():
             episode.poses.setdefault(tick, message)
         case Odometry():
             episode.odometry.setdefault(tick, message)

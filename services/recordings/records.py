@@ -1,4 +1,4 @@
-"""The records of an MCAP file, one after the other: files may be cut off, damaged, or made to do harm.
+"""Read the records of an MCAP file that may be cut off, damaged or hostile.
 
 The reader of the ``mcap`` package bounds neither what chunks unpack to nor how many records are in them, and it reads
 every image. So it decodes single records only.
@@ -24,29 +24,25 @@ from schemas.codec import printable
 from smal.files.container import open_regular
 
 MAGIC: Final = MCAP0_MAGIC  # First and last bytes of every MCAP file.
-HEAD: Final = struct.Struct("<BQ")  # Of every record: what it is, and how many bytes follow.
-UNREADABLE: Final = (
-    McapError,
-    ValueError,
-    struct.error,
-)  # What is raised where there is no record.
-#: Most bytes that a packed chunk may unpack to. Other tools make chunks of a few megabytes, and at least of one
+HEAD: Final = struct.Struct("<BQ")  # Of every record: its opcode, and the bytes that follow.
+UNREADABLE: Final = (McapError, ValueError, struct.error)  # Raised for malformed records.
+#: Largest unpacked chunk, bytes. Other tools write chunks of a few megabytes, and at least of one
 #: message; the largest is an image of 17 MB.
 LARGEST_CHUNK: Final = 64 * 2**20
-#: Most bytes of a record that is taken apart, which takes 15 times as much memory. The largest is the list of what a
-#: recording lacks: 12 MB, where every other frame of a day is missing.
+#: Largest decoded record, bytes; decoding takes 15 times as much memory. The largest of ours is the
+#: list of gaps: 12 MB if every other frame of a day is missing.
 _LARGEST_RECORD: Final = 16 * 2**20
-#: Most bytes that packed recordings may take in memory. 12 drives of 1024x768 unpack to 1.6 GB; our own recordings are
-#: not packed at all, and their images stay on the disk.
+#: Most memory of packed recordings, bytes. 12 drives of 1024x768 unpack to 1.6 GB; our own
+#: recordings are not packed, and their images stay on the disk.
 MOST_UNPACKED: Final = 4 * 2**30
-_MOST_RATIO: Final = 256  # A file may unpack to so many times its size: all that LZ4 can pack.
-#: Least bytes of a packed record. A message has another time and number than the last one: with the strongest
-#: compression of Zstandard those of a robot that stands, with an exact clock, take 8.8.
+_MOST_RATIO: Final = 256  # Largest ratio of unpacked to packed size, the limit of LZ4.
+#: Least bytes of a packed record. Messages differ in time and number: those of a standing robot
+#: with an exact clock take 8.8 bytes with the strongest compression of Zstandard.
 _LEAST_RECORD: Final = 4
-#: Bytes of a mapped file that may be in memory at once, and how much the system maps round each place that is read.
+#: Bytes of a mapped file in memory at once, and bytes that the system maps around each read.
 _RESIDENT = 16 * 2**20
 _AROUND = 2**16
-#: What is taken apart; the index and all else is passed over.
+#: Records that are decoded; the index and others are skipped.
 _KINDS: Final[dict[int, type[Schema | Channel | Metadata]]] = {
     Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata,
 }  # fmt: skip
@@ -55,11 +51,11 @@ _MESSAGE: Final = struct.Struct("<HIQQ")
 
 
 class MemoryLimitError(McapError):
-    """What recordings unpack to takes too much memory; the text says so in one line."""
+    """Unpacked recordings take too much memory; the text is one line."""
 
 
 class Allowance:
-    """How much memory all that is read may still take: one image keeps all that its chunk unpacked to."""
+    """Memory that reading may still take: an image keeps its whole unpacked chunk."""
 
     def __init__(self, size: int = MOST_UNPACKED) -> None:
         self.left = size
@@ -75,7 +71,7 @@ class Allowance:
 
 
 class Bounds:
-    """What one file may still unpack to: all that is honest fits, and nothing that takes for ever."""
+    """Bytes and records that one file may still unpack to."""
 
     def __init__(self, size: int, allowance: Allowance | None = None) -> None:
         self._bytes = _MOST_RATIO * size
@@ -83,7 +79,7 @@ class Bounds:
         self._allowance = allowance or Allowance()
 
     def unpack(self, chunk: Chunk) -> bytes:
-        """Unpack a chunk, never more of it than it announces; raises McapError when it is too much or damaged."""
+        """Unpack a chunk up to its announced size; McapError if it is too large or damaged."""
         size = chunk.uncompressed_size
         if size > LARGEST_CHUNK:
             raise McapError(f"a chunk of {size} bytes, at most {LARGEST_CHUNK} are read")
@@ -103,27 +99,27 @@ class Bounds:
             raise McapError(f"a chunk cannot be unpacked: {error}") from None
 
     def count(self) -> None:
-        """Count a record of a chunk that was unpacked; raises McapError when there are too many."""
+        """Count a record of an unpacked chunk; McapError if there are too many."""
         self._records -= 1
         if self._records < 0:
             raise McapError(f"a record for less than {_LEAST_RECORD} bytes of the file")
 
 
 class _Mapped(mmap.mmap):
-    """A file's bytes, and how much of it was read since all of it was last let go of."""
+    """A mapped file, and the bytes read since its pages were last released."""
 
     touched = 0
 
 
 def copied(payload: memoryview) -> bytes:
-    """Return recorded bytes, of a file that does not fill memory by being read."""
+    """Copy recorded bytes, and release the pages of the file now and then."""
     data = bytes(payload)
     _let_go(payload, len(data) + _AROUND)
     return data
 
 
 def _let_go(data: memoryview, touched: int) -> None:
-    """Let a mapped file out of memory whenever much of it was read; what is wanted again is read again."""
+    """Release the pages of a mapped file once many bytes were read."""
     file = data.obj
     if isinstance(file, _Mapped):
         file.touched += touched
@@ -133,7 +129,7 @@ def _let_go(data: memoryview, touched: int) -> None:
 
 
 def mapped(path: Path) -> memoryview:
-    """Return a file's bytes, of which only those are read that are looked at; OSError when it is no regular file."""
+    """Map a file into memory; OSError if it is no regular file."""
     descriptor = open_regular(path)
     try:
         empty = os.fstat(descriptor).st_size == 0
@@ -143,7 +139,7 @@ def mapped(path: Path) -> memoryview:
 
 
 def records(data: memoryview, allowance: Allowance | None = None) -> Iterator[McapRecord]:
-    """Yield the whole records that hold something, those in chunks in their place; one of ``UNREADABLE`` at damage."""
+    """Yield the whole records, those of chunks in their place; raises ``UNREADABLE`` at damage."""
     if data[: len(MAGIC)] != MAGIC:
         raise McapError("not an MCAP file")
     bounds = Bounds(len(data), allowance)
@@ -158,7 +154,7 @@ def records(data: memoryview, allowance: Allowance | None = None) -> Iterator[Mc
 
 
 class Head(NamedTuple):
-    """What a record is, and where its content begins and ends, which may be behind the end of the file."""
+    """Opcode and bounds of a record, which may end behind the end of the file."""
 
     opcode: int
     begin: int
@@ -166,7 +162,7 @@ class Head(NamedTuple):
 
 
 def heads(data: memoryview, at: int) -> Iterator[Head]:
-    """Yield the heads of the records from a place on."""
+    """Yield the heads of the records from a position on."""
     while at + HEAD.size <= len(data):
         opcode, length = HEAD.unpack_from(data, at)
         head = Head(opcode, at + HEAD.size, at + HEAD.size + length)
@@ -175,7 +171,7 @@ def heads(data: memoryview, at: int) -> Iterator[Head]:
 
 
 def inside(chunk: Chunk, bounds: Bounds, *, checked: bool = False) -> Iterator[McapRecord]:
-    """Yield the whole records in a chunk; a checksum counts of a packed one, or if ``checked``. Raises as `records`."""
+    """Yield the whole records in a chunk; checks the checksum if packed or ``checked``."""
     content = memoryview(bounds.unpack(chunk) if chunk.compression else chunk.data)
     checked |= bool(chunk.compression)
     if len(content) != chunk.uncompressed_size or (
@@ -197,7 +193,7 @@ def chunk_of(body: memoryview) -> Chunk:
 
 
 def record_of(opcode: int, body: memoryview) -> McapRecord | None:
-    """Return a record that is no chunk, or None where it holds nothing that is read; raises as `records`."""
+    """Return a record that is no chunk, or None if it is not read; raises as `records`."""
     if opcode == Opcode.MESSAGE:
         channel, tick, time, sent = _MESSAGE.unpack_from(body)
         data = cast("bytes", body[_MESSAGE.size :])
@@ -214,12 +210,12 @@ def record_of(opcode: int, body: memoryview) -> McapRecord | None:
 
 
 def _stream_of(data: memoryview) -> ReadDataStream:
-    """Return what the ``mcap`` package reads a record from, which asks its input for no more than to read."""
+    """Return a stream for the ``mcap`` package, which only reads from it."""
     return ReadDataStream(cast("Any", _Slices(data)))
 
 
 class _Slices:
-    """Gives slices of a mapping, so that images are not read, and never less than was asked for: that is damage."""
+    """Returns slices of a mapping without reading them; EOF is damage."""
 
     def __init__(self, data: memoryview) -> None:
         self._data = data

@@ -1,13 +1,13 @@
-"""Recordings that are not sealed, damaged, or in several files become a sealed one of all that is whole in them."""
+"""Repair recordings that are not sealed, damaged, or in several files."""
 
 import os
 import tempfile
-from collections.abc import Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from services.kit.errors import JobError
-from services.recordings.contents import Contents, verify
+from services.recordings.contents import Contents, EpisodeContents, verify
 from services.recordings.sink import PARTIAL_SUFFIX, claim, finished, free_path, publish
 from services.recordings.stream import messages, open_recording
 from services.recordings.survey import surveyed
@@ -15,7 +15,7 @@ from services.recordings.writer import EpisodeWriter
 
 
 def usual_name(path: Path, *, replace: bool) -> Path:
-    """Return where the repaired recording goes if nobody says; it is there already only where it replaces its own."""
+    """Return the default name of the repaired recording."""
     if path.suffix == PARTIAL_SUFFIX:
         return finished(path)
     return path if replace else free_path(path.parent, f"{path.stem}-repaired")
@@ -24,40 +24,31 @@ def usual_name(path: Path, *, replace: bool) -> Path:
 def repair(
     paths: Sequence[Path], out: Path, *, replace: bool = False
 ) -> tuple[list[Contents], Contents | None]:
-    """Write the recording of all that is whole in others, which are of one episode; return what was wrong, and is.
+    """Write one sealed recording of all whole messages in recordings of one episode.
 
-    The second is None where nothing was to be repaired. ``replace`` replaces a file that is there, and removes what was
-    left behind. JobError where nothing can be made of them, one is being recorded, or there is a file already.
+    Parameters
+    ----------
+    replace
+        Replace an existing ``out``, and delete the files that a recorder left behind.
+
+    Returns
+    -------
+    The contents of the recordings, and those of ``out``: None if there is nothing to repair.
+
+    Raises
+    ------
+    JobError
+        If the recordings are not of one episode, one is being recorded, or ``out`` exists.
     """
     before = [verify(path) for path in paths]
     if len(before) == 1 and before[0].state == "sealed" and not before[0].damage:
         return before, None
-    for one in before:
-        if len(one.episodes) != 1:
-            several = f"{len(one.episodes)} episodes; one can be repaired at a time"
-            raise JobError(
-                f"{one.path}: holds {several if one.episodes else 'nothing of an episode to save'}"
-            )
-        first = before[0].episodes[0]
-        other = one.episodes[0]
-        if (first.robot, first.episode) != (other.robot, other.episode):
-            raise JobError(
-                f"{one.path}: is of episode {other.episode}, and {before[0].path} of {first.episode}"
-            )
+    _check_one_episode(before)
     left = [path for path in paths if path.suffix == PARTIAL_SUFFIX]
     with (
-        ExitStack() as held,
+        _claimed(left),
         tempfile.TemporaryDirectory(prefix=".repair-", dir=out.parent) as folder,
     ):
-        for path in left:
-            try:
-                held.callback(
-                    os.close, claim(path)
-                )  # Recorders keep away from what one of them left behind.
-            except BlockingIOError:
-                raise JobError(
-                    f"{path}: still being recorded; end the episode or stop the recorder first"
-                ) from None
         made = _written(before, Path(folder) / out.name)
         after = verify(made)
         if out.exists() and not replace:
@@ -69,6 +60,37 @@ def repair(
     return before, after
 
 
+def _check_one_episode(recordings: Sequence[Contents]) -> None:
+    first: EpisodeContents | None = None
+    for one in recordings:
+        if not one.episodes:
+            raise JobError(f"{one.path}: holds nothing of an episode to save")
+        if len(one.episodes) > 1:
+            count = len(one.episodes)
+            raise JobError(f"{one.path}: holds {count} episodes; one can be repaired at a time")
+        (episode,) = one.episodes
+        first = first or episode
+        if (first.robot, first.episode) != (episode.robot, episode.episode):
+            raise JobError(
+                f"{one.path}: is of episode {episode.episode}, "
+                f"and {recordings[0].path} of {first.episode}"
+            )
+
+
+@contextmanager
+def _claimed(left: Sequence[Path]) -> Iterator[None]:
+    """Keep recorders away from the files that one of them left behind."""
+    with ExitStack() as held:
+        for path in left:
+            try:
+                held.callback(os.close, claim(path))
+            except BlockingIOError:
+                raise JobError(
+                    f"{path}: still being recorded; end the episode or stop the recorder first"
+                ) from None
+        yield
+
+
 def _written(before: Sequence[Contents], out: Path) -> Path:
     (episode,) = before[0].episodes
     metadata = {name: str(value) for name, value in episode.said.items()} | before[0].about
@@ -76,7 +98,7 @@ def _written(before: Sequence[Contents], out: Path) -> Path:
     writer = EpisodeWriter(out.with_name(f"{out.name}{PARTIAL_SUFFIX}"), out, metadata)
     try:
         for one in before:
-            # `verify` has told of what is not whole; a message that does not decode is left out.
+            # `verify` has reported the damage; a message that does not decode is left out.
             for stored in messages(
                 surveyed(open_recording(one.path, living=True), lambda _line: None)
             ):

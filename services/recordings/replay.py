@@ -1,4 +1,4 @@
-"""A recorded episode as its robot told it: what to publish at each tick, and when."""
+"""Replay a recorded episode: the messages of each tick, and their times."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
@@ -11,7 +11,7 @@ from schemas.base import Message
 from schemas.episode import Episode
 from schemas.topics import Topic
 from services.recordings.ledger import place_of
-from services.recordings.stream import RecordingError, Stored, messages_of
+from services.recordings.stream import RecordingError, StoredMessage, messages_of
 from services.table import SERVICES
 
 #: What can be replayed, in the order in which a robot publishes it within a tick: of what it gives, whatever is
@@ -27,26 +27,26 @@ REPLAYABLE: Final = {
 
 
 class Tick(NamedTuple):
-    """What is told at once."""
+    """The messages of one tick."""
 
     number: int  # As in the recording.
     since_s: float  # Time since the first tick.
-    messages: tuple[Message, ...]  # In the order in which the robot told them.
+    messages: tuple[Message, ...]  # In the order of their publication.
 
 
 @dataclass(eq=False)
 class Track:
-    """What a robot told in one episode; the ids are those in the recording."""
+    """The messages of a robot in one episode; the ids are those of the recording."""
 
     robot: str
     episode: str
     bad: int = 0  # Messages so far that did not decode; they are left out.
-    _told: defaultdict[int, list[Stored]] = field(default_factory=lambda: defaultdict(list))
+    _told: defaultdict[int, list[StoredMessage]] = field(default_factory=lambda: defaultdict(list))
 
     def __len__(self) -> int:
         return len(self._told)
 
-    def add(self, stored: Stored) -> None:
+    def add(self, stored: StoredMessage) -> None:
         """Take a message."""
         self._told[stored.tick].append(stored)
 
@@ -71,7 +71,7 @@ class Track:
             )
             yield Tick(tick, since_ns / 1e9, tuple(told_anew))
 
-    def _said(self, stored: Stored, wanted: Mapping[str, Topic]) -> Iterator[Message]:
+    def _said(self, stored: StoredMessage, wanted: Mapping[str, Topic]) -> Iterator[Message]:
         if stored.topic not in wanted.values():
             return
         try:
@@ -81,7 +81,7 @@ class Track:
 
 
 def _place(message: Message) -> tuple[int, int]:
-    """Return where in a tick a message stands: `started` first, `ended` last."""
+    """Return the position of a message within its tick: `started` first, `ended` last."""
     order = [*REPLAYABLE].index(message.topic_name)
     if isinstance(message, Episode):
         return {"started": -1, "ended": len(REPLAYABLE)}.get(message.event, order), place_of(
@@ -91,13 +91,13 @@ def _place(message: Message) -> tuple[int, int]:
 
 
 def end_of(last: Message, started: Episode) -> Episode:
-    """Make what tells that an episode is over of which no end was recorded, or that is not told to its end."""
+    """Return the end of an episode whose end was not recorded, or is not replayed."""
     told = started.model_dump(include={"purpose", "driver", "world", "seed", "goal"})
     return Episode.after(last, event="ended", outcome="aborted", **told)
 
 
 def tracks_of(path: Path) -> tuple[Track, ...]:
-    """Read what robots told, by episode; RecordingError when it is unreadable, being recorded, empty or too much."""
+    """Read the messages of robots by episode; RecordingError if there are none."""
     tracks: dict[tuple[str, str], Track] = {}
     for stored in messages_of(path, REPLAYABLE.values()):
         ids = stored.robot, stored.episode

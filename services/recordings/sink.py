@@ -1,4 +1,4 @@
-"""The file of a recording: ``NAME.mcap.partial`` until it is sealed; whoever has locked it owns it."""
+"""The file of a recording: ``NAME.mcap.partial`` until it is sealed; its lock is its owner's."""
 
 import fcntl
 import os
@@ -13,14 +13,14 @@ SYNC_PERIOD_S: Final = 1.0
 
 
 def claim(path: Path, flags: int = os.O_RDWR) -> int:
-    """Open and lock a file that is being recorded; the lock goes with the descriptor. A dead process holds none.
+    """Open and lock a file that is being recorded; the lock ends with the descriptor.
 
     Raises BlockingIOError when another recorder holds it, OSError when it cannot be opened or is no regular file.
     """
     descriptor = open_regular(path, flags)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        # In between another recorder may have put something else in its place.
+        # Another recorder may have replaced the file meanwhile.
         if not os.path.samestat(os.fstat(descriptor), path.stat()):
             raise BlockingIOError(f"{path} is being recorded")
     except OSError:
@@ -30,7 +30,7 @@ def claim(path: Path, flags: int = os.O_RDWR) -> int:
 
 
 def free_path(folder: Path, stem: str) -> Path:
-    """Return ``<stem>.mcap`` in a folder, or ``<stem>-2.mcap`` and so on: no recording is ever overwritten."""
+    """Return ``<stem>.mcap`` in a folder, or the first free ``<stem>-2.mcap`` and so on."""
     number = 1
     path = folder / f"{stem}.mcap"
     while path.exists() or partial_of(path).exists():
@@ -40,7 +40,7 @@ def free_path(folder: Path, stem: str) -> Path:
 
 
 def first_of(path: Path) -> Path | None:
-    """Return the recording of the same name without ``-2`` or so on behind it, if it exists."""
+    """Return the recording of the same name without ``-2`` and so on, if it exists."""
     stem, dash, number = path.name.partition(".")[0].rpartition("-")
     first = path.with_name(f"{stem}.mcap")
     return first if dash and number.isdecimal() and first.exists() else None
@@ -58,7 +58,7 @@ def finished(partial: Path) -> Path:
 
 
 def leftovers(folder: Path) -> set[Path]:
-    """Return the recordings in a folder that are not sealed, those of living recorders too; never a link."""
+    """Return the unsealed recordings in a folder, those of living recorders too, but no links."""
     return {part for part in folder.glob(f"*.mcap{PARTIAL_SUFFIX}") if not part.is_symlink()}
 
 
@@ -73,7 +73,7 @@ def publish(partial: Path, path: Path) -> None:
 
 
 class Sink:
-    """A file being recorded from a size on, of a descriptor by `claim`; a thread puts it on the disk every second."""
+    """A file being recorded, of a descriptor by `claim`; a thread syncs it every second."""
 
     def __init__(self, descriptor: int, size: int = 0) -> None:
         self._descriptor = descriptor
@@ -84,7 +84,7 @@ class Sink:
         self._syncer.start()
 
     def write(self, data: bytes) -> None:
-        """Append all of ``data``; raises OSError when the disk is full, and a part of it may stand in the file."""
+        """Append ``data``; OSError if the disk is full, after a part of it may be written."""
         rest = memoryview(data)
         while rest:
             rest = rest[os.write(self._descriptor, rest) :]
@@ -112,5 +112,5 @@ class Sink:
             try:
                 os.fsync(self._descriptor)
             except OSError:
-                # The next write, or the sync before the file gets its name, says so where it can be handled.
+                # The next write, or the sync before the file gets its name, raises it again.
                 return

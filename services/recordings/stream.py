@@ -1,4 +1,4 @@
-"""The messages in a recording, one after the other, and whose each is."""
+"""Read the messages of a recording one after the other, each with its robot and episode."""
 
 import os
 import re
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from mcap.records import Channel, McapRecord
-from mcap.records import Message as StoredMessage
+from mcap.records import Message as MessageRecord
 from pydantic import ValidationError
 
 from schemas.base import EPISODE_ID_PATTERN, ROBOT_ID_PATTERN, Message
@@ -28,17 +28,16 @@ from services.recordings.records import (
 )
 from services.recordings.sink import PARTIAL_SUFFIX, claim
 
-OBJECTS: Final = (
-    2048  # Memory of a message that is kept beside its bytes: its object, and its numbers.
-)
+#: Memory of a kept message beside its bytes: its object, and its numbers.
+OBJECTS: Final = 2048
 
 
 class RecordingError(JobError):
-    """A file cannot be used as a recording; the text names it."""
+    """A file cannot be used as a recording; the text names the file."""
 
 
 def being_recorded(path: Path) -> bool:
-    """Whether a living recorder writes this recording; raises RecordingError when it cannot be read."""
+    """Whether a living recorder writes this file; RecordingError if the file cannot be read."""
     try:
         if path.suffix == PARTIAL_SUFFIX:
             os.close(claim(path, os.O_RDONLY))
@@ -50,7 +49,13 @@ def being_recorded(path: Path) -> bool:
 
 
 def open_recording(path: Path, *, living: bool = False) -> memoryview:
-    """Return a recording's bytes; RecordingError when there is none, or it is being recorded, unless ``living``."""
+    """Return a recording's bytes.
+
+    Raises
+    ------
+    RecordingError
+        If the file is no recording, or is being recorded and not ``living``.
+    """
     if not living and being_recorded(path):
         raise RecordingError(
             f"{path}: still being recorded; end the episode or stop the recorder first"
@@ -66,11 +71,11 @@ def open_recording(path: Path, *, living: bool = False) -> memoryview:
     return data
 
 
-class Stored(NamedTuple):
-    """A message as it stands in a recording; tick and stamp are its record's."""
+class StoredMessage(NamedTuple):
+    """A message of a recording, not yet decoded; tick and stamp are those of its record."""
 
     key: str
-    topic: Topic | None  # None where it is none of ours; robot and episode then mean nothing.
+    topic: Topic | None  # None for a foreign key, which has no robot and no episode.
     robot: str
     episode: str
     tick: int
@@ -78,7 +83,7 @@ class Stored(NamedTuple):
     payload: memoryview
 
     def message(self, *, pixels: bool = False) -> Message:
-        """Return what it says, with pixels if wanted; ValueError says why it is not what its channel says."""
+        """Decode the message, and its ``pixels``; ValueError if it does not fit its channel."""
         if self.topic is None:
             raise ValueError(f"{self.key} is no topic of ours")
         payload = copied(self.payload)
@@ -111,8 +116,8 @@ class Stored(NamedTuple):
         return CompressedImage.after(header, width=width, height=height, data=jpeg)
 
 
-def messages(every: Iterable[McapRecord]) -> Iterator[Stored]:
-    """Yield the messages among the records of a file, other people's too; raises as what yields the records."""
+def messages(every: Iterable[McapRecord]) -> Iterator[StoredMessage]:
+    """Yield the messages among the records of a file, foreign ones too."""
     channels: dict[int, tuple[str, Topic | None, str, str]] = {}
     for record in every:
         if isinstance(record, Channel):
@@ -127,15 +132,21 @@ def messages(every: Iterable[McapRecord]) -> Iterator[Stored]:
                 robot,
                 episode,
             )
-        elif isinstance(record, StoredMessage) and record.channel_id in channels:
+        elif isinstance(record, MessageRecord) and record.channel_id in channels:
             whose = channels[record.channel_id]
-            yield Stored(*whose, record.sequence, record.log_time, memoryview(record.data))
+            yield StoredMessage(*whose, record.sequence, record.log_time, memoryview(record.data))
 
 
 def messages_of(
     path: Path, topics: Collection[Topic], allowance: Allowance | None = None
-) -> Iterator[Stored]:
-    """Yield the messages of some topics in a recording, within an ``allowance``; or raise RecordingError."""
+) -> Iterator[StoredMessage]:
+    """Yield the messages of some topics in a recording, within an ``allowance``.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read, is damaged, or takes too much memory.
+    """
     data = open_recording(path)
     allowance = allowance or Allowance()
     before = allowance.left

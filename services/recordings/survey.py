@@ -1,4 +1,4 @@
-"""All that is whole in an MCAP file, also behind what is damaged; and what stands at its end."""
+"""Read all whole records of an MCAP file, also behind damage, and the summary at its end."""
 
 import mmap
 import struct
@@ -22,25 +22,24 @@ from services.recordings.records import (
 )
 
 _KNOWN: Final = frozenset(map(int, Opcode))
-#: What stands before the magic at the end: where the summary begins, where its parts are listed, its checksum.
+#: Before the magic at the end: where the summary begins, where its parts are listed, its checksum.
 _FOOTER: Final = struct.Struct("<BQQQI")
-_DATA_END: Final = struct.Struct(
-    "<BQI"
-)  # And before the summary: the end of the data, with its checksum.
-_COUNT: Final = struct.Struct("<Q")  # The first of the statistics is how many messages there are.
-_CHECKED: Final = 4  # How many times the bytes of a file a search for chunks may check.
+#: Before the summary: the end of the data, with its checksum.
+_DATA_END: Final = struct.Struct("<BQI")
+_COUNT: Final = struct.Struct("<Q")  # The first of the statistics: the number of messages.
+_CHECKED: Final = 4  # Bytes that a search for chunks may check, as a multiple of the file's size.
 
 
 class Summary(NamedTuple):
-    """What stands at the end of a sealed recording."""
+    """The summary of a sealed recording."""
 
-    data_end: int  # Where the record is that ends the data section.
+    data_end: int  # Position of the record that ends the data section.
     records: tuple[McapRecord, ...] = ()  # Schemas and channels once more.
-    messages: int | None = None  # How many there are; None if it does not say.
+    messages: int | None = None  # Number of messages; None if unknown.
 
 
 def summary_of(data: memoryview) -> Summary | None:
-    """Return what stands at the end of a sealed recording; None where it is not sealed, or its end is damaged."""
+    """Return the summary of a recording; None if it is not sealed, or its end is damaged."""
     end = len(data) - len(MAGIC) - _FOOTER.size
     if end < len(MAGIC) or data[-len(MAGIC) :] != MAGIC:
         return None
@@ -65,17 +64,18 @@ def summary_of(data: memoryview) -> Summary | None:
 
 
 def surveyed(data: memoryview, tell: Callable[[str], None]) -> Iterator[McapRecord]:
-    """Yield the schemas and channels of the summary, then all that is whole in the data section, also behind damage.
+    """Yield the schemas and channels of the summary, then all whole records of the data section.
 
-    A record whose length is damaged leads astray: the next chunk whose checksum is right is looked for. ``tell`` is
-    called with each finding. MemoryLimitError where it unpacks to too much.
+    A damaged length leads astray: reading goes on at the next chunk whose checksum is right.
+    ``tell`` receives each finding. MemoryLimitError if the file unpacks to too much.
     """
     known = summary_of(data) or Summary(len(data))
     count = orphans = 0
     yield from known.records
     channels = {one.id for one in known.records if isinstance(one, Channel)}
-    # The summary repeats schemas and channels: nothing that leads astray may lead there.
-    for record in _whole(data[: known.data_end + _DATA_END.size], known.data_end, tell):
+    # The summary repeats schemas and channels: no damaged length may lead there.
+    section = data[: known.data_end + _DATA_END.size]
+    for record in _Survey(section, known.data_end, tell).records():
         if isinstance(record, Channel):
             channels.add(record.id)
         elif isinstance(record, Message):
@@ -88,42 +88,63 @@ def surveyed(data: memoryview, tell: Callable[[str], None]) -> Iterator[McapReco
         tell(f"its index tells of {known.messages} messages, and there are {count}")
 
 
-def _whole(data: memoryview, data_end: int, tell: Callable[[str], None]) -> Iterator[McapRecord]:
-    bounds = Bounds(len(data))
-    search = ChunkSearch(data)
-    at = sure = len(MAGIC)
-    while at < len(data):
-        try:
-            opcode, begin, end = _head(data, at)
-            body = data[begin:end]
-            is_chunk = opcode == Opcode.CHUNK
-            found = (
-                [*records.inside(records.chunk_of(body), bounds, checked=True)]
-                if is_chunk
-                else [records.record_of(opcode, body)]
-            )
-        except MemoryLimitError:
-            raise
-        except UNREADABLE as error:
-            following = search.next(sure + 1, data_end)
-            # What is cut off at its end, as by a kill, is told of as not sealed.
-            if following < len(data) or not isinstance(error, EndOfFile):
-                tell(f"damaged at byte {at}: what stands from byte {sure} to {following} is lost")
-            if following <= sure:
-                return
-            at = sure = following
-            continue
-        if opcode == Opcode.DATA_END:
-            if int.from_bytes(body[:4], "little") not in (0, zlib.crc32(data[:at])):
-                tell("the checksum of its data is wrong")
-            return
-        yield from (one for one in found if one is not None)
-        at = end
-        sure = end if opcode in (Opcode.CHUNK, Opcode.MESSAGE) else sure
+class _Survey:
+    """Reads whole records; `sure` is the end of the last record whose place is certain."""
+
+    def __init__(self, data: memoryview, data_end: int, tell: Callable[[str], None]) -> None:
+        self._data = data
+        self._data_end = data_end
+        self._tell = tell
+        self._bounds = Bounds(len(data))
+        self._search = ChunkSearch(data)
+        self._sure = len(MAGIC)
+
+    def records(self) -> Iterator[McapRecord]:
+        at = self._sure
+        while at < len(self._data):
+            try:
+                head = _head(self._data, at)
+                found = self._records_of(head)
+            except MemoryLimitError:
+                raise
+            except UNREADABLE as error:
+                at = self._skip_damage(at, cut_off=isinstance(error, EndOfFile))
+            else:
+                yield from found
+                at = self._behind(head)
+
+    def _records_of(self, head: Head) -> list[McapRecord]:
+        """Return the records in a chunk, or the record itself if it holds something."""
+        body = self._data[head.begin : head.end]
+        if head.opcode == Opcode.CHUNK:
+            return list(records.inside(records.chunk_of(body), self._bounds, checked=True))
+        record = records.record_of(head.opcode, body)
+        return [] if record is None else [record]
+
+    def _skip_damage(self, at: int, *, cut_off: bool) -> int:
+        """Return the position of the next sure chunk; a recording that was cut off has none."""
+        following = self._search.next(self._sure + 1, self._data_end)
+        if following < len(self._data) or not cut_off:
+            lost = f"what stands from byte {self._sure} to {following} is lost"
+            self._tell(f"damaged at byte {at}: {lost}")
+        self._sure = following if following > self._sure else len(self._data)
+        return self._sure
+
+    def _behind(self, head: Head) -> int:
+        """Return the position of the next record, and check the data at their end."""
+        if head.opcode == Opcode.DATA_END:
+            checksum = int.from_bytes(self._data[head.begin : head.begin + 4], "little")
+            before = self._data[: head.begin - records.HEAD.size]
+            if checksum not in (0, zlib.crc32(before)):
+                self._tell("the checksum of its data is wrong")
+            return len(self._data)
+        if head.opcode in (Opcode.CHUNK, Opcode.MESSAGE):
+            self._sure = head.end
+        return head.end
 
 
 def _head(data: memoryview, at: int) -> Head:
-    """Return the head of the record that stands here; EndOfFile where it is cut off, McapError where there is none."""
+    """Return the head of the record at a position; EndOfFile if cut off, McapError if there is none."""
     head = next(heads(data, at), None)
     if head is None or head.end > len(data):
         raise EndOfFile
@@ -135,8 +156,8 @@ def _head(data: memoryview, at: int) -> Head:
 class ChunkSearch:
     """Finds the chunks behind damage, by their checksums.
 
-    Any byte may look like the head of a large chunk. So no more bytes are checked than a few times those that are
-    there: what damage leaves is found, and a file made to be searched for ever is not.
+    Any byte may look like the head of a large chunk. The bytes to check are bounded, so that no
+    file can be made to be searched for ever.
     """
 
     def __init__(self, data: memoryview) -> None:
@@ -144,7 +165,7 @@ class ChunkSearch:
         self._left = _CHECKED * len(data)
 
     def next(self, at: int, end: int) -> int:
-        """Return where the next chunk begins whose checksum is right, or `end`."""
+        """Return the position of the next chunk whose checksum is right, or `end`."""
         source = cast("mmap.mmap | bytes", self._data.obj)
         while self._left > 0 and (at := source.find(bytes([Opcode.CHUNK]), at, end)) >= 0:
             try:

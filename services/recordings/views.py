@@ -1,4 +1,4 @@
-"""What viewers such as Foxglove and Rerun draw without being told how, derived from what was recorded.
+"""Derive drawings for viewers such as Foxglove and Rerun from the recorded messages.
 
 Beside each message stands, in the same chunk, what can be drawn of it, on a key of its own: ``smal/ROBOT/view/NAME``.
 None of it is read back: where recordings are merged or repaired it is derived anew.
@@ -36,7 +36,7 @@ from schemas.base import Message
 from schemas.camera import CameraInfo
 from schemas.command import CommandApplied
 from schemas.episode import Episode
-from schemas.motion import Odometry, Pose, TrackedPose
+from schemas.motion import Odometry, TrackedPose, TruePose
 from schemas.state import State
 from schemas.taught_map import TaughtMap
 from schemas.topics import ROOT
@@ -44,18 +44,17 @@ from services.recordings.encoding import CAMERA_FRAME, timestamp
 from smal.movement import placed, seen_from
 
 _PART: Final = "/view/"
-_KEPT: Final = (
-    100  # Poses by the wheels that wait for the belief of their frame, a few frames later.
-)
-#: The arrow of the belief is half a metre long, about as a robot.
+#: Poses by the wheels that wait for the belief of their frame, a few frames later.
+_KEPT: Final = 100
+#: The arrow of the belief is half a metre long, like a robot.
 _ARROW: Final = {
     "shaft_length": 0.35,
     "shaft_diameter": 0.075,
     "head_length": 0.15,
     "head_diameter": 0.15,
 }
-_STEP_M: Final = 0.1  # From point to point of the driven way; more where there would be too many.
-_MOST_POINTS: Final = 10_000  # Most points of a way: more than a screen can tell apart.
+_STEP_M: Final = 0.1  # Least distance of two points of the driven way.
+_MOST_POINTS: Final = 10_000  # Of a way: more than a screen resolves.
 _LINE_PX: Final = 3.0
 _TAUGHT: Final = Color(r=0.3, g=0.6, b=1.0, a=1.0)
 _DRIVEN: Final = Color(r=1.0, g=0.8, b=0.2, a=1.0)
@@ -95,11 +94,11 @@ class Views:
 
     @singledispatchmethod
     def of(self, _message: Message) -> Iterator[RecordedView]:
-        """Yield what is drawn of a message."""
+        """Yield the drawings of a message."""
         yield from ()
 
     def way(self) -> Iterator[tuple[Message, RecordedView]]:
-        """Yield the driven way as a whole, and the first message by the wheels, so that a viewer has it at any time."""
+        """Yield the whole driven way, with the first message, so that it is visible at any time."""
         if self._began is not None and len(self._way) > 1:
             points = np.array([(x_m, y_m, 0.0) for x_m, y_m in self._way])
             for view in _line(self._began, "odom", "driven", [points], _DRIVEN):
@@ -119,14 +118,14 @@ class Views:
             self._step_m = 2.0 * self._step_m
 
     @of.register
-    def _pose(self, pose: Pose) -> Iterator[RecordedView]:
+    def _pose(self, pose: TruePose) -> Iterator[RecordedView]:
         here = np.array([pose.x_m, pose.y_m, pose.heading_rad])
         yield RecordedView("pose", _in_world(pose, here))
         _keep(self._true, pose.tick, here)
         yield from self._world(pose)
 
     def _world(self, message: Message) -> Iterator[RecordedView]:
-        """Say once where the wheels' axes lie in the world."""
+        """Yield once the transform from the world to the axes of the wheels."""
         wheels = self._wheels.get(message.tick)
         true = self._true.get(message.tick)
         if not self._with_world and wheels is not None and true is not None:
@@ -182,7 +181,7 @@ class Views:
         offsets = state.places.to_numpy()[known, 1:4].astype(np.float64)
         poses = placed(offsets, self._keyframes[keyframes[known]])
         wheels = self._wheels.get(state.tick)
-        # A robot that is lost goes by its wheels; without any, there is nothing else to go by.
+        # A lost robot is drawn by its wheels, if it has any.
         if wheels is not None and state.lost <= 0.5:
             yield RecordedView(
                 "map", _transform(state, "odom", "map", _origin_of(wheels, poses[0]))
@@ -239,7 +238,7 @@ def _keep(poses: dict[int, Array], tick: int, pose: Array) -> None:
 
 
 def _origin_of(pose: Array, same: Array) -> Array:
-    """Return where the axes begin in which a pose is the `same`."""
+    """Return the origin of the axes in which a pose is the `same`."""
     return placed(seen_from(_ORIGIN, same), pose)
 
 
@@ -270,7 +269,7 @@ def _transform(message: Message, parent: str, child: str, pose: Array) -> FrameT
 def _line(
     message: Message, frame: str, name: str, lines: list[Array], color: Color
 ) -> Iterator[RecordedView]:
-    """Yield lines of points (n, 3), and the points for viewers that do not know scenes."""
+    """Yield lines of points (n, 3), and the points for viewers without scenes."""
     drawn = [
         LinePrimitive(
             type=LinePrimitive.LINE_STRIP,

@@ -1,4 +1,4 @@
-"""One episode's recording, from its first message to its seal."""
+"""Write the recording of an episode."""
 
 import os
 import sys
@@ -17,15 +17,13 @@ from services.recordings.ledger import Ledger
 from services.recordings.sink import Sink, claim, free_path, partial_of, publish
 from services.recordings.views import RecordedView, Views, view_key
 
-#: Names of the metadata records: what the episode is (written first), and what the recording lacks (written last).
+#: Names of the metadata records: the episode (written first), and its gaps (written last).
 EPISODE_METADATA: Final = "smal.episode"
 GAPS_METADATA: Final = "smal.gaps"
-_CHUNK_NS: Final = (
-    1_000_000_000  # Time of a chunk: what viewers load, and what a kill or wrong byte costs.
-)
-_CHUNK_BYTES: Final = (
-    4 * 2**20
-)  # Or so many bytes, where images are large: they are held until then.
+#: Time of a chunk: viewers load whole chunks, and a kill or a wrong byte costs a chunk.
+_CHUNK_NS: Final = 1_000_000_000
+#: Largest chunk, for large images, which stay in memory until it is written.
+_CHUNK_BYTES: Final = 4 * 2**20
 
 
 class EpisodeWriter:
@@ -40,8 +38,8 @@ class EpisodeWriter:
         self.path = path
         self.ledger = Ledger()
         self.messages = self._written = 0  # How many it has taken.
-        self.end_tick: int | None = None  # When the episode ended.
-        self.problem: str | None = None  # Why it takes no more; None while it does.
+        self.end_tick: int | None = None  # Last tick of the episode.
+        self.problem: str | None = None  # Why it accepts no more messages.
         self._part = part
         self._ids = {name: metadata[name] for name in ("robot", "episode")}
         self._views = Views()
@@ -64,7 +62,7 @@ class EpisodeWriter:
 
     @classmethod
     def begin(cls, folder: Path, started: Episode) -> Self:
-        """Make the file of an episode that begins with this event; raises OSError when the file cannot be made."""
+        """Create the file of an episode that begins with this event; OSError if that fails."""
         path = free_path(folder, started.episode)
         names = ("robot", "episode", "world", "seed", "purpose", "goal", "driver")
         metadata = {name: str(getattr(started, name)) for name in names}
@@ -82,11 +80,11 @@ class EpisodeWriter:
 
     @property
     def waiting(self) -> int:
-        """Messages that are not in the file yet."""
+        """Messages that are not yet in the file."""
         return self.messages - self._written
 
     def write(self, message: Message) -> None:
-        """Take a message, if it is new; raises OSError when the disk is full, and the file takes no more then."""
+        """Write a message if it is new; after an OSError (disk full) it accepts no more."""
         if self.problem is not None or not self.ledger.admit(message):
             return
         self._add(key_of(message), format_of(type(message)), message, payload_of(message))
@@ -100,13 +98,13 @@ class EpisodeWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Write what waits; raises as `write`."""
+        """Write the waiting messages; raises as `write`."""
         before = self._sink.tell()
         try:
             self._file.flush()
         except OSError as error:
             self.problem = error.strerror or str(error)
-            # A chunk is one write, and its index others: where only that has no room, a leftover has the messages.
+            # Chunk and index are separate writes: without room for the index, the chunk is complete.
             if self._sink.tell() > before:
                 self._written = self.messages
             raise
@@ -115,7 +113,7 @@ class EpisodeWriter:
         self._first_ns = sys.maxsize
 
     def seal(self) -> Path:
-        """Finish and name the recording, and return its file; `leftover` seals later what had no room for its end."""
+        """Finish and name the recording; without room for its end, `leftover` seals it later."""
         try:
             if self.problem is None:
                 self._finish()

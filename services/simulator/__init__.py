@@ -1,1 +1,1 @@
-"""The simulated world: terrain, robot, camera, and the service that puts them on the bus."""
+"""Simulated worlds and robots, and the service that publishes them."""

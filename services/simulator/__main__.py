@@ -14,10 +14,10 @@ from services.simulator.worlds import SimulatorSettings, Worlds
 
 
 def serve() -> None:
-    """Simulate until stopped."""
+    """Serve a simulated robot until stopped."""
     settings = read_settings(SimulatorSettings, "simulator")
     configure_logging(settings.log_level)
-    # A large one takes minutes, and whoever waits is shown the last line.
+    # Large worlds take minutes to open, and waiting clients display the last log line.
     logging.getLogger(ROBOT).info("opening the world %s", settings.world)
     worlds = Worlds(settings)
     simulation = worlds.open()

@@ -1,4 +1,4 @@
-"""The robot's base: how its wheels are driven. This one is kinematic; `physics` has the one with mass."""
+"""Interface of the robot's base, and a kinematic base; `physics` has a base with mass."""
 
 import math
 from collections.abc import Sequence
@@ -12,30 +12,31 @@ from services.simulator.robots import DriveTrain
 from services.simulator.world.place import Place, Pose, Solid
 from services.simulator.world.route import Obstacles, obstacles_of
 
-#: Longest step of time that a base is moved by, seconds; sensors are read once a step, and real time goes by it.
+#: Longest time step of a base, seconds. Sensors are read once a step.
 STEP_S: Final = 0.02
-# Halvings of a step that would collide: 2 m/s for 20 ms is 40 mm, a 64th of which is under a millimetre.
+# Halvings of a colliding step: 2 m/s for 20 ms is 40 mm, and 1/64 of 40 mm is under a millimetre.
 _HALVINGS: Final = 6
 
 
 class WheelSpeeds(NamedTuple):
-    """Speeds of the wheels' rims over the ground, m/s."""
+    """Rim speeds of the two wheels, m/s."""
 
     left: float
     right: float
 
 
 def wheel_speeds(velocity: Velocity, drive: DriveTrain) -> WheelSpeeds:
-    """Return the wheel speeds that a velocity commands."""
+    """Compute the wheel speeds for a velocity."""
     ahead = velocity.linear * drive.speed_m_s
     half = velocity.angular * drive.turn_rate_rad_s * drive.track_m / 2
     return WheelSpeeds(ahead - half, ahead + half)
 
 
 def move(pose: Pose, wheels: WheelSpeeds, track_m: float, duration_s: float) -> Pose:
-    """Return the pose after constant speeds of the wheels (m/s): an arc of a circle, or a straight line, exactly."""
+    """Integrate constant wheel speeds (m/s) over a duration, exactly along an arc or a line."""
     half_turn = (wheels.right - wheels.left) / track_m * duration_s / 2
-    # The chord of an arc points half the turn away from the heading and is sin(half)/half of the arc long.
+    # The chord points half the turn away from the heading; its length is the arc times
+    # sin(half)/half.
     shrink = 1.0 - half_turn**2 / 6 if abs(half_turn) < 1e-4 else math.sin(half_turn) / half_turn
     chord = (wheels.left + wheels.right) / 2 * duration_s * shrink
     direction = pose.heading + half_turn
@@ -44,7 +45,7 @@ def move(pose: Pose, wheels: WheelSpeeds, track_m: float, duration_s: float) -> 
 
 
 class Actuator:
-    """Wheels that do not quite obey; their errors belong to ticks of simulated time, however finely it is stepped."""
+    """Wheels with random speed errors, drawn once for each tick of simulated time."""
 
     def __init__(self, drive: DriveTrain, rng: np.random.Generator) -> None:
         self._drive = drive
@@ -55,7 +56,7 @@ class Actuator:
         self._error = self._radius
 
     def wheels(self, velocity: Velocity, duration_s: float) -> WheelSpeeds:
-        """Return the speeds that the wheels really have for the next `duration_s`, and let that time pass."""
+        """Advance time by `duration_s` and return the speeds that the wheels really have."""
         tick = int(self._time_s / TICK_S + 1e-6)
         while self._tick < tick:
             self._tick += 1
@@ -70,36 +71,35 @@ class Actuator:
 
 
 class Motion(NamedTuple):
-    """What a base did in one step."""
+    """Result of one step of a base."""
 
-    pose: Pose  # Where it is at the end of the step.
-    rolled_m: tuple[
-        float, float
-    ]  # How far the left and the right wheel turned, as metres of the rim.
-    collided: bool  # Whether it touched anything in this step.
+    pose: Pose  # Pose at the end of the step.
+    # Distance that the rims of the left and the right wheel rolled.
+    rolled_m: tuple[float, float]
+    collided: bool  # Whether the robot touched an obstacle in this step.
 
 
 class Base(Protocol):
-    """What drives a robot in a place."""
+    """Interface of a robot base in a place."""
 
     @property
     def braking_s(self) -> float:
-        """Seconds from nominal speed to standing."""
+        """Seconds from nominal speed to standstill."""
 
     def obstruct(self, solids: Sequence[Solid]) -> None:
-        """Let these stand in the way as well from the next ``put`` on, in the place of those before."""
+        """Replace the additional obstacles, effective at the next ``put``."""
 
     def put(self, pose: Pose, rng: np.random.Generator) -> None:
-        """Stand still at a pose; `rng` is the source of this episode's wheel errors."""
+        """Place the robot at rest; `rng` draws the wheel errors of this episode."""
 
     def step(self, velocity: Velocity, duration_s: float) -> Motion:
-        """Drive for up to `STEP_S`."""
+        """Drive for at most `STEP_S`."""
 
 
 class KinematicBase:
-    """A base without mass, that has its wheels' speed at once and stops where it touches something."""
+    """A base without mass: wheels reach their speed immediately, obstacles stop them."""
 
-    braking_s = 0.0  # Seconds from nominal speed to standing.
+    braking_s = 0.0  # Seconds from nominal speed to standstill.
 
     def __init__(self, place: Place, drive: DriveTrain | None = None) -> None:
         self._drive = drive or place.robot.drive
@@ -107,16 +107,16 @@ class KinematicBase:
         self._obstacles = obstacles_of(place)
 
     def obstruct(self, solids: Sequence[Solid]) -> None:
-        """Let these stand in the way as well from the next ``put`` on, in the place of those before."""
+        """Replace the additional obstacles, effective at the next ``put``."""
         self._obstacles = Obstacles(self._place, solids) if solids else obstacles_of(self._place)
 
     def put(self, pose: Pose, rng: np.random.Generator) -> None:
-        """Stand still at a pose; `rng` is the source of this episode's wheel errors."""
+        """Place the robot at rest; `rng` draws the wheel errors of this episode."""
         self._pose = pose
         self._actuator = Actuator(self._drive, rng)
 
     def step(self, velocity: Velocity, duration_s: float) -> Motion:
-        """Go by the arc of the wheels' speeds for up to `STEP_S`; obstacles stop it."""
+        """Drive along the arc of the wheel speeds for at most `STEP_S`, or to an obstacle."""
         wheels = self._actuator.wheels(velocity, duration_s)
         collided = not self._advance(wheels, duration_s)
         if collided:

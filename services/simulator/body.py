@@ -1,4 +1,4 @@
-"""The simulated robot as a body: in real time its world moves on by the clock, whoever is slow."""
+"""Simulated robot as a `Body`; in real-time mode its world advances by the clock."""
 
 from collections.abc import Callable
 from threading import Lock
@@ -20,20 +20,29 @@ from services.simulator.world.place import WorldError
 from services.simulator.worlds import Worlds
 from smal.camera import Camera
 
-WATCHDOG_S: Final = (
-    0.2  # Silence after which the simulated base stands by itself, as those of real robots do.
-)
+# Watchdog timeout of the simulated base, seconds; real bases have a similar one.
+WATCHDOG_S: Final = 0.2
 
-STOOD_S: Final = 2.0  # Time within which a base that was told to stand does so and is at rest, with much to spare.
+STOOD_S: Final = 2.0  # Maximum time until a stopped base is at rest, with a generous margin.
 
 
 class SimulatedBody:
-    """A `Simulation` as `services.robot.body.Body` asks for it.
+    """A `Simulation` behind the interface `services.robot.body.Body`.
 
-    Like a real base it goes on with its last order until it has another one, or its watchdog bites; what passed
-    meanwhile is made up for at the next order or look, so that a thread or a process that had no processor finds the
-    robot where it would be. `wanted` says whether anybody listens to a topic, `worlds` opens other worlds; without it
-    the robot stays in the one that it is in.
+    Like a real base, it executes the last command until the next one or until the watchdog expires.
+    Elapsed time is simulated at the next command or view, so that a delayed thread or process finds
+    the robot at the correct pose.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        World that the robot starts in.
+    clock : callable
+        Monotonic time in seconds.
+    wanted : callable
+        Returns whether a topic has subscribers.
+    worlds : Worlds, optional
+        Opens other worlds; if omitted, the robot stays in its world.
     """
 
     watchdog_s = WATCHDOG_S
@@ -46,7 +55,8 @@ class SimulatedBody:
         worlds: Worlds | None = None,
     ) -> None:
         for topic in (DEPTH, OVERHEAD):
-            # Who listens becomes known a moment after it was asked for the first time: the first frame is too late.
+            # Zenoh discovers subscribers with a delay: without this query the first frame has no
+            # depth image.
             wanted(topic)
         self._clock = clock
         self._wanted = wanted
@@ -68,7 +78,13 @@ class SimulatedBody:
         self.mount = simulation.mount
 
     def begin(self, request: ResetRequest) -> Beginning:
-        """Put the robot at a seeded start; ServiceError where the world cannot be used, and the robot stays."""
+        """Begin an episode at a seeded start.
+
+        Raises
+        ------
+        ServiceError
+            The world is unusable; the robot stays where it is.
+        """
         self._go_where_asked(request)
         with self._lock:
             try:
@@ -103,7 +119,7 @@ class SimulatedBody:
             self._enter(self._worlds.open(*wished))
 
     def drive(self, velocity: Velocity) -> Velocity:
-        """Go on with a velocity until told otherwise; in lockstep the world only moves when ``advance`` has it so."""
+        """Set the velocity to hold; in lockstep only ``advance`` moves the world."""
         if not self._realtime:
             return velocity
         with self._lock:
@@ -114,16 +130,16 @@ class SimulatedBody:
         return velocity
 
     def stand(self) -> None:
-        """Stop, and stay."""
+        """Stop the robot."""
         self.drive(STANDING)
 
     def _catch_up(self, now_s: float) -> None:
-        """Move as the last order and the watchdog have it."""
+        """Simulate the elapsed time with the last command and the watchdog."""
         stops_s = min(now_s, self._ordered_s + WATCHDOG_S)
         self._move_on(self._order, stops_s)
         self._move_on(STANDING, min(now_s, stops_s + STOOD_S))
         if now_s - self._moved_s > STEP_S:
-            self._moved_s = now_s  # it stands since: hours of suspension need no steps
+            self._moved_s = now_s  # At rest: hours of suspension need no steps.
 
     def _move_on(self, order: Velocity, until_s: float) -> None:
         while self._moved_s + STEP_S <= until_s:
@@ -135,7 +151,7 @@ class SimulatedBody:
         self.simulation.advance(velocity, duration_s)
 
     def look(self, tick: int) -> SimulatedView:
-        """Return what is seen and felt now; at its tick the robot is carried away before."""
+        """Return the view of a tick; at the kidnap tick the robot is moved first."""
         with self._lock:
             now = self._clock()
             if self._realtime:
@@ -145,11 +161,11 @@ class SimulatedBody:
             return self.simulation.look(now, self._wanted)
 
     def peek(self) -> bytes:
-        """Return what its camera sees between two episodes, as JPEG."""
+        """Render the camera image between two episodes, as JPEG."""
         return self.look(0).jpeg
 
     def detail(self) -> Detail:
-        """Tell in which variation of its world it is, and where else it can be."""
+        """Report the variation of the world and the worlds that can be opened."""
         if self._worlds is None:
             return {}
         _, variation = self._worlds.here

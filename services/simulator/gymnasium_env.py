@@ -1,4 +1,4 @@
-"""The search as a Gymnasium environment, so that other methods can be run in the same worlds.
+"""Gymnasium environments of the search task, to run other methods in the same worlds.
 
 Importing this module registers ``smal/Campus-v0`` and ``smal/Indoor-v0``:
 ``gymnasium.make("services.simulator.gymnasium_env:smal/Campus-v0")`` does both.
@@ -20,17 +20,19 @@ from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
 
-MAX_TICKS: Final = 3000  # Frames after which an episode is truncated: five minutes.
+MAX_TICKS: Final = 3000  # Truncation limit of an episode, frames (five minutes).
 COLLISION_REWARD: Final = -1.0
 _REWARDS: Final = {"found": 1.0, "collision": COLLISION_REWARD}
 Info = dict[str, Any]
 
 
 class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
-    """Find the victim by the camera alone: images (height, width, 3) uint8 RGB, an atom for each frame of 0.1 s.
+    """Search for the victim with the camera alone.
 
-    The reward is 1 when the victim is found, -1 at a collision (both end the episode), else 0. World and settings are
-    those of `open_simulation`, unless a `simulation` is given.
+    Observations are images (height, width, 3), uint8 RGB. Actions are atoms, each held for one
+    frame of 0.1 s. The reward is 1 for the victim, -1 for a collision (both terminate the episode),
+    else 0. World and settings are the parameters of `open_simulation`, unless a `simulation` is
+    given.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1 / TICK_S)}  # noqa: RUF012
@@ -56,9 +58,10 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
     def reset(
         self, *, seed: int | None = None, options: Info | None = None
     ) -> tuple[NDArray[np.uint8], Info]:
-        """Begin an episode; the same seed gives the same, without one the environment's own chance decides.
+        """Begin an episode; the same seed gives the same episode.
 
-        `options` may have a `purpose` (`sample_start`); `info` has `pose`, and `route`, way points (k, 2) for experts.
+        `options` can contain a `purpose` (see `sample_start`). `info` contains `pose` and `route`,
+        way points (k, 2) in metres for experts.
         """
         super().reset(seed=seed)
         purpose = (options or {}).get("purpose", "run")
@@ -70,10 +73,10 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
         }
 
     def step(self, action: np.int64) -> tuple[NDArray[np.uint8], float, bool, bool, Info]:
-        """Hold a key for one frame.
+        """Execute an action for one frame.
 
-        `info` has `pose` and, with the last step, `outcome`: "found" or "collision". `truncated` is always False here:
-        `gymnasium.make` adds the limit of `MAX_TICKS` steps.
+        `info` contains `pose` and, after the last step, `outcome`: "found" or "collision".
+        `truncated` is always False: `gymnasium.make` adds the limit of `MAX_TICKS` steps.
         """
         if self._episode is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
@@ -81,12 +84,12 @@ class SearchEnv(gymnasium.Env[NDArray[np.uint8], np.int64]):
         view = episode.step(ATOMS[int(action)])
         outcome = episode.outcome
         if outcome is None and episode.reached:
-            outcome = "found"  # a demonstration would go on
+            outcome = "found"  # A demonstration continues after this frame.
         info = _info(episode) | ({"outcome": outcome} if outcome else {})
         return view.image, _REWARDS.get(outcome or "", 0.0), outcome is not None, False, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return the last camera image, if the render mode asks for it."""
+        """Return the last camera image in render mode "rgb_array"."""
         return (
             self._episode.view.image if self._episode and self.render_mode == "rgb_array" else None
         )

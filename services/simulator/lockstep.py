@@ -1,4 +1,4 @@
-"""Lockstep: the world moves on when a frame is answered, so that episodes do not depend on how fast the machine is."""
+"""Lockstep pace: the world advances with each answered frame, at the speed of any machine."""
 
 from collections.abc import Callable, Iterator
 from typing import Final
@@ -17,13 +17,13 @@ from services.simulator.body import SimulatedBody
 from services.simulator.sensors.camera import FindVictim, SimulatedView
 from services.simulator.simulation import Simulation
 
-#: Seconds without an answer after which a frame is sent again (a message may be lost), and given up.
+#: Timeouts of an answer, seconds: resend the frame (a message can be lost), then end the episode.
 RESEND_S: Final = 2.0
 GIVE_UP_S: Final = 30.0
 
 
 class LockstepEpisode(RunningEpisode[SimulatedView]):
-    """An episode in this process, for whoever acts on its views; the same seed gives the same poses as by messages."""
+    """An episode in this process, with the same poses as an episode over messages."""
 
     def __init__(self, simulation: Simulation, request: ResetRequest) -> None:
         body = SimulatedBody(simulation)
@@ -31,16 +31,16 @@ class LockstepEpisode(RunningEpisode[SimulatedView]):
         self._simulated = body
         self._guard = guard_of(body)
         self._wheels = WheelCheck(body.kinematics)
-        #: Why the robot stands until the end, if its senses contradict each other.
+        #: Stop cause that holds until the end, after contradicting sensors.
         self.contradiction: str | None = None
 
     @property
     def kinematics(self) -> Kinematics:
-        """How the robot can move."""
+        """Limits of the robot's motion."""
         return self._simulated.kinematics
 
     def step(self, asked: Atom | Velocity) -> SimulatedView:
-        """Carry out a key or a velocity, or what the gate would let through, until the next frame, and return that."""
+        """Execute an action as far as the gate permits, and return the next view."""
         now_s = self.tick * TICK_S
         wheels = self.view.odometry[:3]
         self.contradiction = self.contradiction or self._wheels.read(wheels, now_s)
@@ -56,7 +56,7 @@ class LockstepEpisode(RunningEpisode[SimulatedView]):
 
 
 class Lockstep:
-    """The pace of a simulated robot whose world waits for commands; `clock` times what was not answered."""
+    """Pace of a simulated robot whose world waits for commands; `clock` times the answers."""
 
     delay_s = 0.0  # The world waits.
 
@@ -67,15 +67,15 @@ class Lockstep:
         self.resent = 0
 
     def gate_s(self, tick: int) -> float:
-        """Return simulated time, so that a slow machine makes no command stale."""
+        """Return simulated time, so that a slow machine does not make commands stale."""
         return tick * TICK_S
 
     def captured_s(self, _view: SimulatedView, tick: int) -> float:
-        """Return the time of the frame."""
+        """Return the capture time of a frame."""
         return self.gate_s(tick)
 
     def detail(self) -> Detail:
-        """Tell how often a frame was sent again."""
+        """Report the number of frames that were sent again."""
         return {"resent": self.resent}
 
     def begin(self) -> None:
@@ -83,11 +83,11 @@ class Lockstep:
         self._sent_s = self._clock()
 
     def end(self) -> None:
-        """Do nothing: time stands."""
+        """Do nothing; the world waits."""
 
     def poll(self, runner: Teller[SimulatedView], run: Running[SimulatedView]) -> Iterator[Message]:
-        """Move on if the last frame is answered; send it again, or give up, when an answer is overdue."""
-        # Asked in this order: of an answer that comes between the two, the next poll makes a step.
+        """Advance after an answer; resend the frame or end the episode after a timeout."""
+        # This order matters: an answer between the two calls is handled at the next poll.
         answered = runner.gate.answered(run.tick)
         applied = runner.gate.applied(self.gate_s(run.tick))
         if runner.gate.emergency_stop:
@@ -96,7 +96,7 @@ class Lockstep:
         elif answered:
             yield runner.tell(run, applied)
             if runner.gate.stop_cause is not None:
-                return  # it came while that was being said
+                return  # The stop arrived during the publication.
             runner.gate.carries_out(applied.velocity, self.gate_s(run.tick))
             self._body.advance(applied.velocity, TICK_S)
             yield from runner.next_frame(run)
@@ -106,7 +106,7 @@ class Lockstep:
         if now - run.ready_s[run.tick] > GIVE_UP_S:
             yield from runner.end()
         elif now - self._sent_s > RESEND_S and not runner.gate.emergency_stop:
-            # Who wants the other images may have come, or have become known, only after the frame was made.
+            # Subscribers of the other images can appear after the frame was made.
             *others, image = run.frame
             made = {message.topic_name for message in others}
             run.frame = (*others, *run.episode.view.more(runner.header(run), made), image)

@@ -1,4 +1,4 @@
-"""Load a world and put its robot into it."""
+"""Open a world by name or path with a robot in it."""
 
 from dataclasses import replace
 from typing import Literal
@@ -24,32 +24,45 @@ def open_simulation(
     task: tuple[Pose, Pose] | None = None,
     depth: bool = False,
 ) -> Simulation:
-    """Load a world by name or path, and put its robot into it.
+    """Open a world by name or path with its robot.
 
-    The base `physics` has wheels driven in PhysX; `kinematic` goes along exact arcs, without mass; `car` is physics,
-    too, and its minimum turning radius is 1.5 m. `task` is a start and where the victim lies, by default those of the
-    world. Without a `depth` camera nothing keeps the robot from driving into things.
+    Parameters
+    ----------
+    world : str
+        Name of an included world, or path of a world file or map.
+    camera : CameraSettings
+        Image size in pixels.
+    base : {"physics", "kinematic", "car"}
+        Wheels in PhysX; exact arcs without mass; or PhysX with a minimum turning radius of 1.5 m.
+    shake : float, optional
+        Factor of the camera shake; by default the place's own.
+    variation : str or Variation
+        Conditions such as light and haze.
+    task : tuple of Pose, optional
+        Start and victim; by default the world's own.
+    depth : bool
+        Whether the robot has a depth camera. Without one it does not avoid obstacles.
 
     Raises
     ------
     WorldError
-        The world cannot be used.
+        The world is unusable.
     UnavailableError
-        This machine lacks what is needed.
+        A driver or SAPIEN is missing on this machine.
     ValueError
         The variation is unknown.
     """
     conditions = variation_named(variation) if isinstance(variation, str) else variation
-    there = load_foreign_world(world)
+    opened = load_foreign_world(world)
     if task is not None:
-        there = replace(there, start=task[0], victim=task[1])
-    there = vary(there, facade_seed=conditions.facade_seed, clutter_seed=conditions.clutter_seed)
+        opened = replace(opened, start=task[0], victim=task[1])
+    opened = vary(opened, facade_seed=conditions.facade_seed, clutter_seed=conditions.clutter_seed)
     wheels: Base | None = None
     if base == "car":
-        there = replace(there, drive=there.robot.drive.car)
+        opened = replace(opened, drive=opened.robot.drive.car)
     if base != "kinematic":
         from services.simulator.physics import PhysicalBase  # noqa: PLC0415 - only this needs SAPIEN
 
-        wheels = PhysicalBase(there.place, there.robot.drive)
+        wheels = PhysicalBase(opened.place, opened.robot.drive)
     camera = replace(camera, light=conditions.light)
-    return Simulation(there, camera, wheels, shake=shake, variation=conditions, depth=depth)
+    return Simulation(opened, camera, wheels, shake=shake, variation=conditions, depth=depth)

@@ -1,4 +1,4 @@
-"""A base with mass: wheels, friction and contacts in PhysX, as SAPIEN has it, on the CPU; no Vulkan is needed."""
+"""A base with mass: wheels, friction and contacts in PhysX (SAPIEN, CPU only, no Vulkan)."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -17,66 +17,65 @@ from services.simulator.scene.meshes import outline, quads, sides
 from services.simulator.scene.vulkan import load_sapien
 from services.simulator.world.place import Place, Pose, Solid
 
-# A line stands for something thin: a fence, a hedge, the edge of the world.
+# Thickness of lines: fences, hedges, the edge of the world.
 _HALF_THICKNESS_M: Final = 0.01
-# Walls end so far above a robot's top, where it never meets their upper edge.
+# Walls end this far above a robot's top, where the robot never meets their upper edge.
 _ABOVE_M: Final = 1.0
-# PhysX warns of triangles that are much larger than what touches them.
+# PhysX warns about triangles that are much larger than the bodies that touch them.
 _LONGEST_WALL_M: Final = 20.0
-TIMESTEP_S: Final = 1 / 250  # Time that the engine advances by, seconds.
-#: Bits of a shape's collision group: what it is (first entry), and what it is stopped by (second entry).
+TIMESTEP_S: Final = 1 / 250  # Time step of the engine, seconds.
+#: Bits of a shape's collision groups: its own group, and the groups that stop it.
 FLOOR: Final = 1
 OBSTACLE: Final = 2
-# A robot's hull glides along a wall, as plastic on plaster does.
+# The hull glides along walls, as plastic on plaster.
 _WALL_FRICTION: Final = 0.3
 _GRAVITY: Final = (0.0, 0.0, -9.81)
 load: Final = partial(load_sapien, rendering=False)
 
 STANDING: Final = WheelSpeeds(0.0, 0.0)
-#: How fast the robot's speed may grow, ahead, and shrink. Pulling ahead leans the weight on the rear caster, which
-#: carries some of it even at rest, so the wheels spin earlier than in braking.
+#: Limits of forward acceleration and deceleration. Acceleration shifts weight to the rear caster,
+#: which carries some of it even at rest, so the wheels slip earlier than in braking.
 ACCELERATION_M_S2: Final = 4.0
 BRAKING_M_S2: Final = 6.0
-#: The same when the robot is to stand: nearly all that the tyres give, since a stop may be an emergency.
+#: Deceleration to standstill, nearly the limit of the tyres, since a stop can be an emergency.
 STOPPING_M_S2: Final = 9.0
-TURN_ACCELERATION_RAD_S2: Final = 8.0  # How fast its turning speed may change, at the same time.
+TURN_ACCELERATION_RAD_S2: Final = 8.0  # Limit of the turning acceleration, at the same time.
 _TYRE_FRICTION: Final = 1.1  # Rubber on dry asphalt or a clean floor.
-# The motors' torque, as the acceleration that it gives to the robot: more than the tyres carry, so that a robot at a
-# wall spins its wheels.
+# Motor torque, as acceleration of the robot: above the tyres' limit, so that wheels slip at a wall.
 _TORQUE_M_S2: Final = 12.0
-# The wheels near their commanded speed with this time constant, unless torque or friction limit them.
+# Time constant of the wheels' speed controller, within the limits of torque and friction.
 _RESPONSE_S: Final = 0.01
-_WHEEL_MASS: Final = 0.04  # of the robot's, each
-_CASTER_AT: Final = 0.8  # of the robot's radius, ahead and behind
+_WHEEL_MASS: Final = 0.04  # Of the robot's mass, each.
+_CASTER_AT: Final = 0.8  # Of the robot's radius, ahead and behind.
 _CASTER_RADIUS_M: Final = 0.02
-# Four wheels that all touch would take weight off the driven ones as chance has it. The rear caster carries, the
-# front one hangs this high and catches the robot when it brakes.
+# Four touching wheels would unload the driven wheels at random. The rear caster carries weight; the
+# front caster hangs this high and catches the robot in braking.
 _FRONT_CASTER_M: Final = 0.005
-_CENTRE_BEHIND: Final = (
-    0.1  # of the way to the rear caster: so much of the weight the caster carries
-)
-_CENTRE_HEIGHT: Final = 0.25  # of the body's height: batteries lie low
+# Distance of the centre of mass on the way to the rear caster, equal to the caster's share of the
+# weight.
+_CENTRE_BEHIND: Final = 0.1
+_CENTRE_HEIGHT: Final = 0.25  # Of the body's height: batteries are mounted low.
 _GROUND_CLEARANCE_M: Final = 0.02
 _MAST_HALF_WIDTH_M: Final = 0.02
 _HULL_SIDES: Final = 32
-# More make the drive's steady state truer: with 4 the robot is 0.2 % slow and creeps by 0.5 mm/s at rest.
+# With 4 iterations the robot is 0.2 % slow and creeps by 0.5 mm/s at rest.
 _SOLVER_ITERATIONS: Final = 16
-# Joints turn about their x axis; this turns it to the robot's left.
+# Joints rotate about their x axis; this rotation points it to the robot's left.
 _AXLE: Final = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
-# A robot that leans more than this has toppled.
+# Tilt beyond which the robot has toppled.
 _UPRIGHT: Final = math.cos(math.radians(45))
-# A robot is parked when it has moved no faster than this for a tenth of a second: the solver is noisy by millimetres a
-# second, and one that rocks on its casters is faster.
+# A robot is parked after a tenth of a second below these speeds: the solver's noise is some
+# millimetres a second, and a robot that rocks on its casters is faster.
 _STILL_M_S: Final = 0.01
 _STILL_RAD_S: Final = 0.05
 _PARKED_STEPS: Final = round(0.1 / TIMESTEP_S)
 
 
 def lead(now: WheelSpeeds, wanted: WheelSpeeds, track_m: float, duration_s: float) -> WheelSpeeds:
-    """Return the speeds that the wheels are to have a moment later, on the way to the wanted ones.
+    """Return the next wheel speeds on the way to the wanted speeds.
 
-    The robot's speed and its turning are led separately. If each wheel went its own way as fast as it can, both would
-    pull with all they have while the robot speeds up, and nothing would be left to end a turn.
+    Forward and turning speed have separate limits. If each wheel accelerated at its own limit, the
+    tyres would have no grip left to end a turn.
     """
     mean = (now.left + now.right) / 2
     half = (now.right - now.left) / 2
@@ -92,10 +91,10 @@ def lead(now: WheelSpeeds, wanted: WheelSpeeds, track_m: float, duration_s: floa
 
 
 def add_robot(scene: Any, robot: RobotModel, drive: DriveTrain, pose: Pose) -> Any:
-    """Put a robot into a scene, at rest, and return its articulation.
+    """Add a robot at rest to a scene and return its articulation.
 
-    The root is the chassis, its origin the middle of the wheels' axis, x ahead. The two joints are the left and the
-    right wheel, positive forwards.
+    The root is the chassis; its origin is the middle of the wheels' axis, x ahead. The two joints
+    are the left and the right wheel, positive forwards.
     """
     sapien = load()
     chassis = _chassis(sapien, robot, drive.wheel_radius_m)
@@ -108,16 +107,16 @@ def add_robot(scene: Any, robot: RobotModel, drive: DriveTrain, pose: Pose) -> A
     articulation = chassis.articulation
     articulation.root_pose = sapien.Pose([pose.x, pose.y, drive.wheel_radius_m], turn)
     articulation.solver_position_iterations = _SOLVER_ITERATIONS
-    # When it sleeps is for its driver to say: the engine may take seconds, or do it in the middle of slow driving.
+    # `_park` decides on sleep: the engine can take seconds, or sleep during slow driving.
     articulation.sleep_threshold = 0.0
     for link in (chassis, *wheels):
-        # The engine's default slows everything that moves, as if in oil.
+        # The default damping slows every body.
         link.linear_damping = link.angular_damping = 0.0
     return articulation
 
 
 def _chassis(sapien: Any, robot: RobotModel, axle_m: float) -> Any:
-    """Return the body with its casters; lengths are from the axle, which is `axle_m` above the floor."""
+    """Build the body with casters; lengths are relative to the axle, `axle_m` above the floor."""
     link = sapien.physx.PhysxArticulationLinkComponent()
     angles = np.arange(_HULL_SIDES) * math.tau / _HULL_SIDES
     ring = robot.radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
@@ -155,10 +154,10 @@ def _chassis(sapien: Any, robot: RobotModel, axle_m: float) -> Any:
 
 
 def _wheel(sapien: Any, chassis: Any, mass_kg: float, drive: DriveTrain, side: float) -> Any:
-    """Return a driven wheel, to the left with `side` 1 and to the right with -1.
+    """Build a driven wheel, to the left with `side` 1 and to the right with -1.
 
-    It touches the floor as a ball, in one point, which rolls more smoothly than a cylinder of many faces. The hull
-    holds the wheels inside, so that obstacles meet the hull only.
+    The wheel is a ball with one contact point, which rolls more smoothly than a many-sided
+    cylinder. It lies inside the hull, so that obstacles touch the hull only.
     """
     radius_m = drive.wheel_radius_m
     link = sapien.physx.PhysxArticulationLinkComponent(chassis)
@@ -186,17 +185,18 @@ def _wheel(sapien: Any, chassis: Any, mass_kg: float, drive: DriveTrain, side: f
 
 
 class PhysicalBase:
-    """A base that drives by its wheels: it takes time to start and to stop, it slips, and walls push back.
+    """A base with driven wheels and mass: it accelerates, brakes and slips, and walls push back.
 
-    Time advances in whole steps of `TIMESTEP_S`. What is left of a duration is added to the next one, so that the pose
-    is at most one such step behind the time that has been asked for. PhysX calculates with 32 bits: places are exact to
-    0.01 mm at 100 m from the world's origin, and to 0.1 mm at 1 km. Without SAPIEN there is an `UnavailableError`.
+    Time advances in whole steps of `TIMESTEP_S`. The remainder of a duration is added to the next
+    duration, so the pose lags by at most one step. PhysX computes with 32 bits: positions are exact
+    to 0.01 mm at 100 m from the origin, and to 0.1 mm at 1 km. Raises `UnavailableError` without
+    SAPIEN.
     """
 
     def __init__(self, place: Place, drive: DriveTrain | None = None) -> None:
         self._robot = place.robot
         self._drive = drive or place.robot.drive
-        #: Seconds from nominal speed to standing, along and about.
+        #: Seconds from nominal speed to standstill, along and about.
         self.braking_s = max(
             self._drive.speed_m_s / STOPPING_M_S2,
             self._drive.turn_rate_rad_s / TURN_ACCELERATION_RAD_S2,
@@ -206,11 +206,11 @@ class PhysicalBase:
         self._scene.add_entity(self._obstacles[0])
 
     def obstruct(self, solids: Sequence[Solid]) -> None:
-        """Let these stand in the way as well from the next ``put`` on, in the place of those before."""
+        """Replace the additional obstacles, effective at the next ``put``."""
         self._obstacles[1:] = [obstacles(solids, self._robot.top_m)] if solids else []
 
     def put(self, pose: Pose, rng: np.random.Generator) -> None:
-        """Stand still at a pose, in a new scene: the engine remembers contacts, which would outlast an episode."""
+        """Place the robot at rest in a new scene, since contacts outlast an episode."""
         for entity in self._obstacles:
             if entity.scene is not None:
                 self._scene.remove_entity(entity)
@@ -227,10 +227,10 @@ class PhysicalBase:
         self._actuator = Actuator(self._drive, rng)
 
     def step(self, velocity: Velocity, duration_s: float) -> Motion:
-        """Drive the wheels for a moment, towards the speeds that the velocity asks for."""
+        """Drive the wheels towards the commanded velocity."""
         wanted = self._actuator.wheels(velocity, duration_s)
         self._owed_s += duration_s
-        # Durations add up to whole steps only as nearly as floating point has it.
+        # Durations add up to whole steps only within floating-point precision.
         steps = int(self._owed_s / TIMESTEP_S + 1e-6)
         self._owed_s -= steps * TIMESTEP_S
         collided = False
@@ -244,13 +244,13 @@ class PhysicalBase:
 
     def _command(self, wanted: WheelSpeeds) -> None:
         if self._commanded == wanted == STANDING:
-            return  # a command would wake a parked robot
+            return  # A command would wake a parked robot.
         self._commanded = lead(self._commanded, wanted, self._drive.track_m, TIMESTEP_S)
         for wheel, rim_speed in zip(self._wheels, self._commanded, strict=True):
             wheel.set_drive_velocity_target(rim_speed / self._drive.wheel_radius_m)
 
     def _park(self) -> None:
-        """Let the engine rest once the robot does: small errors of its solver add up to millimetres a minute."""
+        """Put a resting robot to sleep: solver errors add up to millimetres a minute."""
         root = self._articulation.root
         still = (
             self._commanded == STANDING
@@ -262,7 +262,7 @@ class PhysicalBase:
             root.put_to_sleep()
 
     def _touches(self) -> bool:
-        """Return whether an obstacle pushed the robot in the last step, or lies against it."""
+        """Return whether an obstacle touched the robot in the last step."""
         return any(
             point.separation <= 0 or point.impulse.any()
             for contact in self._scene.physx_system.get_contacts()
@@ -271,7 +271,7 @@ class PhysicalBase:
         )
 
     def _rolled(self) -> tuple[float, float]:
-        """Return how far the wheels have turned since the last call; the engine wraps their angles."""
+        """Return the distances rolled since the last call; the engine wraps the angles."""
         before = self._angles
         self._angles = self._articulation.qpos.tolist()
         left, right = (
@@ -281,7 +281,7 @@ class PhysicalBase:
         return left, right
 
     def _pose(self) -> tuple[Pose, bool]:
-        """Return where the middle of the wheels' axis is, and whether the robot stands upright."""
+        """Return the pose of the axis's middle, and whether the robot is upright."""
         root = self._articulation.root_pose
         x, y, _ = root.p.tolist()
         w, i, j, k = root.q.tolist()
@@ -290,14 +290,14 @@ class PhysicalBase:
 
 
 def new_scene() -> Any:
-    """Return a scene with a level floor at height 0 and gravity.
+    """Create a scene with gravity and a level floor at height 0.
 
-    PhysX averages the friction of two surfaces. The floor's is 0, so that a wheel's alone decides, and a caster's is
-    none; see `friction_against_floor`.
+    PhysX averages the friction of two surfaces. The floor's friction is 0, so that the wheel or
+    caster decides; see `friction_against_floor`.
     """
     sapien = load()
     physx = sapien.physx
-    # The settings are those of the process, taken by the next system made; an earlier one keeps its own.
+    # These settings belong to the process: the next system takes them, earlier systems keep theirs.
     physx.set_scene_config(gravity=_GRAVITY, enable_enhanced_determinism=True, cpu_workers=0)
     system = physx.PhysxCpuSystem()
     system.timestep = TIMESTEP_S
@@ -311,20 +311,20 @@ def new_scene() -> Any:
 
 
 def friction_against_floor(coefficient: float) -> Any:
-    """Return a material that rubs on the floor with a coefficient of friction, at least 0."""
+    """Create a material with a friction coefficient (at least 0) against the floor."""
     return load().physx.PhysxMaterial(2 * coefficient, 2 * coefficient, 0.0)
 
 
 def wall_material() -> Any:
-    """Return the material of obstacles, and of whatever runs into them; nothing bounces."""
+    """Create the material of obstacles and of bodies that hit them, without restitution."""
     return load().physx.PhysxMaterial(_WALL_FRICTION, _WALL_FRICTION, 0.0)
 
 
 def obstacles(solids: Iterable[Solid], under_m: float) -> Any:
-    """Return the walls of solids as an immovable entity, cooked once, that can be moved from scene to scene.
+    """Build the walls of solids as a static entity that can move from scene to scene.
 
-    Nothing flies here: what begins at the robot's height `under_m` or above is driven under, and left out; walls end a
-    metre above the robot. Lines are given a thickness of 2 cm.
+    Solids that begin at `under_m` (the robot's height) or above are omitted: the robot drives under
+    them. Walls end a metre above the robot. Lines are 2 cm thick.
     """
     walls = [
         sides(ring, solid.low_m, min(solid.high_m, under_m + _ABOVE_M))
@@ -345,7 +345,7 @@ def obstacles(solids: Iterable[Solid], under_m: float) -> Any:
 
 
 def _rings(shape: BaseGeometry) -> list[NDArray[np.float64]]:
-    """Return the closed outlines (k, 2) of all that a shape covers, each with the solid on its left."""
+    """Return the closed outlines (k, 2) of a shape, each with the solid on its left."""
     parts = [
         part
         if part.geom_type == "Polygon"

@@ -1,4 +1,4 @@
-"""The robots that can be simulated, by the table `robots`: bodies, wheels, and where the camera sits."""
+"""Models of the simulated robots, from the table `robots`."""
 
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
@@ -10,36 +10,37 @@ _CAR_M: Final = 1.5
 
 @dataclass(frozen=True)
 class DriveTrain:
-    """The robot's wheels and how well they obey."""
+    """Wheels of the robot, and their errors."""
 
     speed_m_s: float = 2.0  # Speed of `forward` and `backward`.
     turn_rate_rad_s: float = 0.785  # Turning speed of `left` and `right`.
-    radius_m: float = 0.0  # Least radius of its way: of a car, which does not turn on the spot.
+    # Minimum turning radius; above 0 for a car, which cannot turn on the spot.
+    radius_m: float = 0.0
     track_m: float = 0.6  # Distance between the wheels.
     wheel_radius_m: float = 0.2
-    tick_sigma: float = 0.03  # Standard deviation of each wheel's relative speed error, drawn anew every tick of 0.1 s.
-    radius_sigma: float = (
-        0.01  # Standard deviation of each wheel's relative radius error, drawn once an episode.
-    )
+    # Standard deviation of each wheel's relative speed error, for each tick of 0.1 s.
+    tick_sigma: float = 0.03
+    # Standard deviation of each wheel's relative radius error, for each episode.
+    radius_sigma: float = 0.01
 
     @property
     def car(self) -> "DriveTrain":
-        """The same that steers as a small car does."""
+        """The same drive with the steering of a small car."""
         return replace(self, radius_m=_CAR_M, turn_rate_rad_s=self.speed_m_s / _CAR_M)
 
 
 class CameraMount(NamedTuple):
-    """Where the camera is: metres ahead of the wheels' axis and above the ground; it looks straight ahead."""
+    """Camera position: metres ahead of the wheels' axis and above the ground, facing ahead."""
 
     ahead_m: float
     height_m: float
 
 
 class TagMount(NamedTuple):
-    """A square ArUco marker lying on the robot, its upper edge towards the front, seen from above."""
+    """A square ArUco marker flat on the robot, its upper edge towards the front."""
 
-    number: int  # Which marker of OpenCV's dictionary `DICT_4X4_50`.
-    side_m: float  # Length of the black square's side.
+    number: int  # Id in OpenCV's dictionary `DICT_4X4_50`.
+    side_m: float  # Side of the black square.
     height_m: float  # Above the ground.
 
 
@@ -50,14 +51,14 @@ class RobotModel:
     drive: DriveTrain
     camera: CameraMount
     radius_m: float
-    """Of the smallest circle about the middle of the axis that holds the whole robot; planning keeps this free."""
-    height_m: float  # Of the body (without the camera's mast).
+    """Radius of the smallest circle about the axis's middle that contains the robot."""
+    height_m: float  # Of the body, without the camera mast.
     mass_kg: float
     tag: TagMount | None = None
 
     @property
     def top_m(self) -> float:
-        """Height of the highest point: of the body, or of the camera's mast."""
+        """Height of the highest point: body or camera mast."""
         return max(self.height_m, self.camera.height_m)
 
 

@@ -1,4 +1,4 @@
-"""The world with the robot in it: reset, advance, look. Knows nothing of messages, ticks or time-outs."""
+"""A world with the robot in it: reset, advance, look; independent of messages and ticks."""
 
 import math
 from collections.abc import Callable
@@ -29,17 +29,29 @@ _PURPOSE_NUMBER: Final[dict[Purpose, int]] = {"drive": 0, "run": 1, "recovery": 
 
 
 class Simulation:
-    """A robot in a world, with a camera (or settings for a rendered one) and a `base`, a `KinematicBase` if not given.
+    """A robot with a camera in a world.
 
-    `shake` is how much the camera shakes, as is usual in that place if not given. Of the `variation` haze and exposure
-    are taken, the rest is in world and light. With a `depth` camera it runs into nothing that it sees.
+    Parameters
+    ----------
+    world : World
+        Place and task.
+    camera : SceneCamera or CameraSettings
+        Camera, or settings of a rendered camera.
+    base : Base, optional
+        By default a `KinematicBase`.
+    shake : float, optional
+        Factor of the camera shake; by default the place's own.
+    variation : Variation
+        Only haze and exposure apply here; the rest is already in the world and its light.
+    depth : bool
+        Whether the robot has a depth camera and avoids visible obstacles.
     """
 
-    pose: Pose  # Where it truly is.
-    collided: bool  # Whether it has touched anything since the reset.
-    victim: Pose | None  # Where the victim truly lies.
-    obstacles: tuple[Obstacle, ...] = ()  # What stands in the way, and did not when it was taught.
-    people: tuple[Person, ...] = ()  # Who walks about it.
+    pose: Pose  # Ground truth.
+    collided: bool  # Whether the robot has touched an obstacle since the reset.
+    victim: Pose | None  # Ground truth.
+    obstacles: tuple[Obstacle, ...] = ()  # Obstacles on the route that were absent in teaching.
+    people: tuple[Person, ...] = ()  # Pedestrians.
 
     def __init__(
         self,
@@ -60,11 +72,11 @@ class Simulation:
         self.speed_m_s = world.robot.drive.speed_m_s
         self.found_m = world.scale.found_m
         self._seen = world, camera, variation
-        #: How its depth camera sits, if it has one: where its other camera does.
-        sits = world.robot.camera
+        #: Mounting of the depth camera, identical to the colour camera's.
+        mast = world.robot.camera
         radius_m = world.robot.radius_m
         self.mount = (
-            Mount(FOCAL, sits.height_m, sits.ahead_m, radius_m, world.robot.top_m)
+            Mount(FOCAL, mast.height_m, mast.ahead_m, radius_m, world.robot.top_m)
             if depth
             else None
         )
@@ -84,11 +96,33 @@ class Simulation:
         people: int = 0,
         blocked: bool = False,
     ) -> Pose:
-        """Begin an episode; the same seed and purpose give the same start, wheel errors, sensor noise and shake.
+        """Begin an episode; the same seed and purpose reproduce it.
 
-        Different purposes with one seed are independent. `anywhere` begins beside the way. Where the `victim` lies if
-        it is moved, and so many `obstacles` stand and `people` walk, or what has the way `blocked`, is by the seed too.
-        Returns the start pose; WorldError where there is no room for all that.
+        Parameters
+        ----------
+        seed : int
+            Seed of start, wheel errors, sensor noise, shake and obstacles. Purposes with the same
+            seed are independent.
+        purpose : Purpose
+            Purpose of the episode; sets the scatter of the start.
+        anywhere : bool
+            Whether to begin beside the route.
+        victim : Victim
+            Placement of the victim.
+        obstacles, people : int
+            Number of obstacles and of pedestrians.
+        blocked : bool
+            Whether an obstacle closes the route.
+
+        Returns
+        -------
+        Pose
+            Start pose.
+
+        Raises
+        ------
+        WorldError
+            The world has too little room for these obstacles or people.
         """
         self._seed = seed, _PURPOSE_NUMBER[purpose]
         start, wheels, odometry, imu, shake = (self._chance(stream) for stream in range(5))
@@ -109,20 +143,19 @@ class Simulation:
 
     def _lay(self, victim: Victim) -> None:
         chance = self._chance(7)
-        there = self.world.victim
+        taught = self.world.victim
         self.victim = (
-            there
+            taught
             if victim == "there"
             else moved_victim(self.world, chance)
             if victim == "moved"
             else None
         )
         self._seen[1].lay(
-            self.victim, there if victim == "decoy" else None, int(chance.integers(1 << 16))
+            self.victim, taught if victim == "decoy" else None, int(chance.integers(1 << 16))
         )
 
     def _obstruct(self, count: int, blocked: bool) -> None:
-        """Put obstacles into the world; without any it stays as it is."""
         things: tuple[Obstacle, ...] = ()
         if count or blocked:
             things = stand_in_the_way(
@@ -135,7 +168,7 @@ class Simulation:
         self._seen[1].obstruct(things)
 
     def carry_away(self) -> Pose:
-        """Put the robot anywhere beside the way, as the episode's seed has it; its wheels do not turn meanwhile."""
+        """Move the robot to a seeded pose beside the route, without turning its wheels."""
         chance = self._chance(5)
         room_m = self.world.scale.start_room_m
         self.pose = sample_start(self.world, chance, "recovery")
@@ -148,11 +181,11 @@ class Simulation:
         return self.pose
 
     def _chance(self, stream: int) -> np.random.Generator:
-        """Return one of the episode's sources of chance; their numbers are part of every seed."""
+        """Return a random generator of the episode; stream numbers are part of the seed."""
         return np.random.default_rng([*self._seed, stream])
 
     def advance(self, velocity: Velocity, duration_s: float) -> None:
-        """Move the robot; an obstacle stops it where they touch."""
+        """Move the robot; obstacles stop it on contact."""
         steps = max(1, math.ceil(duration_s / STEP_S - 1e-9))
         for _ in range(steps):
             motion = self._base.step(velocity, duration_s / steps)
@@ -168,7 +201,10 @@ class Simulation:
     def look(
         self, captured_s: float = 0.0, wanted: Callable[[Topic], bool] = lambda _topic: False
     ) -> SimulatedView:
-        """Return what is seen, and felt since this was last called; `captured_s` and `wanted` as in `SimulatedView`."""
+        """Return the current view with the sensor readings since the last call.
+
+        `captured_s` and `wanted` are fields of `SimulatedView`.
+        """
         felt = self._sensors
         return SimulatedView(
             *self._seen, self.pose, felt.shake.tilt, felt.shake.rate, self.collided, felt.odometer.read(), felt.imu(),
@@ -177,7 +213,7 @@ class Simulation:
 
     @property
     def clearance_m(self) -> float:
-        """How far the robot's side is from the nearest thing or person; 0 where they touch."""
+        """Distance from the robot's side to the nearest obstacle, metres; 0 on contact."""
         here = Point(self.pose.x, self.pose.y)
         away_m = [obstacles_of(self.world.place).clearance(here.x, here.y)]
         away_m += [thing.footprint.distance(here) for thing in self.obstacles]
@@ -185,5 +221,5 @@ class Simulation:
         return max(min(away_m) - self.world.robot.radius_m, 0.0)
 
     def route(self) -> NDArray[np.float64]:
-        """Return the way (k, 2), in metres, from this episode's start to the victim."""
+        """Return the route (k, 2), in metres, from the start of this episode to the victim."""
         return plan_route(self.world, (self._start.x, self._start.y))

@@ -1,4 +1,4 @@
-"""Conditions other than those of teaching, by name: light by time of day, haze, façades, moved things, exposure."""
+"""Named variations of the conditions: daylight, haze, façades, moved objects, exposure."""
 
 import math
 from dataclasses import dataclass, replace
@@ -14,29 +14,22 @@ class Daylight:
     """Sun and sky."""
 
     elevation_deg: float = 40.98
-    azimuth_deg: float = (
-        221.58  # Where the sun stands: above the horizon, and clockwise from north.
-    )
-    sun: Colour = (
-        2.6,
-        2.45,
-        2.2,
-    )  # Colour and strength of the direct light, linear; black where clouds hide the sun.
-    sky: Colour = (0.42, 0.45, 0.5)  # Of the light that comes from everywhere.
-    fill: Colour = (0.35, 0.38, 0.45)  # Of the brighter part of the sky opposite the sun.
+    # Position of the sun: above the horizon, and clockwise from north.
+    azimuth_deg: float = 221.58
+    # Linear colour and intensity of the direct light; black under full cloud.
+    sun: Colour = (2.6, 2.45, 2.2)
+    sky: Colour = (0.42, 0.45, 0.5)  # Linear colour of the ambient light.
+    fill: Colour = (0.35, 0.38, 0.45)  # Linear colour of the bright sky opposite the sun.
     zenith: Colour = (84.0, 132.0, 200.0)
-    horizon: Colour = (206.0, 218.0, 228.0)  # Colours of the sky's picture, 0 to 255.
-    clouds: float = 1.0  # How much of the sky clouds cover, relative to a fair day.
-    clouds_seed: int = 0  # Every number has clouds of its own.
-    lamps: Colour = (
-        1.0,
-        1.0,
-        1.0,
-    )  # Strength and colour of what lights a room: lamps, and daylight through windows.
+    horizon: Colour = (206.0, 218.0, 228.0)  # Colours of the sky image, 0 to 255.
+    clouds: float = 1.0  # Cloud cover relative to a fair day.
+    clouds_seed: int = 0  # Seed of the cloud pattern.
+    # Linear colour and intensity of indoor light: lamps and windows.
+    lamps: Colour = (1.0, 1.0, 1.0)
 
     @property
     def direction(self) -> tuple[float, float, float]:
-        """Where sunlight goes, a unit vector: x east, y north, z up."""
+        """Direction of sunlight, a unit vector: x east, y north, z up."""
         up = math.radians(self.elevation_deg)
         around = math.radians(self.azimuth_deg)
         return (-math.cos(up) * math.sin(around), -math.cos(up) * math.cos(around), -math.sin(up))
@@ -44,18 +37,18 @@ class Daylight:
 
 @dataclass(frozen=True)
 class Variation:
-    """One set of conditions: its name, as given to ``--variation``, and what it means, for people."""
+    """A named set of conditions for ``--variation``, with a description for users."""
 
     name: str
     meaning: str
     light: Daylight = Daylight()
     visibility_m: float | None = None
-    """Distance at which 5 % of an object's contrast is left (meteorologists' visibility); None for clear air."""
-    exposure_ev: float = 0.0  # By how many stops the camera exposes too much.
-    facade_seed: int = 0  # Façades are painted anew for every number but 0.
-    clutter_seed: int = (
-        0  # Movable things (furniture, trees) stand elsewhere for every number but 0.
-    )
+    """Meteorological visibility: 5 % of an object's contrast is left at this distance. None: clear
+    air."""
+    exposure_ev: float = 0.0  # Overexposure of the camera, stops.
+    facade_seed: int = 0  # Seed of the façades; 0 keeps them.
+    # Seed of the positions of furniture and trees; 0 keeps them.
+    clutter_seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -66,20 +59,20 @@ class _Table:
 
 _TABLE: Final = table("variations", _Table)
 VARIATIONS: Final[dict[str, Variation]] = {
-    name: Variation(name, light=_TABLE.lights.get(said.pop("light", ""), Daylight()), **said)
-    for name, said in _TABLE.variations.items()
+    name: Variation(name, light=_TABLE.lights.get(fields.pop("light", ""), Daylight()), **fields)
+    for name, fields in _TABLE.variations.items()
 }
 DAY: Final = VARIATIONS["day"]
 
 
 def clouded(name: str, seed: int) -> Variation:
-    """Return a variation with other clouds."""
+    """Return a variation with another cloud pattern."""
     usual = variation_named(name)
     return replace(usual, light=replace(usual.light, clouds_seed=seed))
 
 
 def variation_named(name: str) -> Variation:
-    """Return a variation; a `ValueError` names those that there are."""
+    """Return the variation of a name; raise ValueError for an unknown name."""
     if name not in VARIATIONS:
-        raise ValueError(f"unknown variation {name!r}; known are {', '.join(VARIATIONS)}")
+        raise ValueError(f"variation {name!r} not found; choose from {', '.join(VARIATIONS)}")
     return VARIATIONS[name]

@@ -1,4 +1,4 @@
-"""The simulator's settings, and the worlds that its robot can be in, by name."""
+"""Settings of the simulator, and its worlds by name."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -21,29 +21,29 @@ _NAME: Final[TypeAdapter[str]] = TypeAdapter(WorldName)
 
 
 class SimulatorSettings(RobotSettings, RootSettings):
-    """The world and the camera; worlds in the folder ``worlds`` below the root can be chosen as well."""
+    """World and camera; worlds in the folder ``worlds`` below the root are available as well."""
 
     attended: bool = False
-    """Whether the robot moves only while an operator is there."""
+    """Whether the robot moves only while an operator is present"""
     task: Literal["victim", "operator"] = "victim"
-    """Who says that the goal is reached: the simulator, when the victim is near and in view; or only the person at smal
-    teleop, as with a real robot."""
+    """Decision that the goal is reached: by the simulator (victim near and in view), or by the
+    operator as with a real robot"""
     world: str = "campus"
-    """Name of a world that comes with the project, or the path of an OpenStreetMap or world file."""
+    """Name of an included world, or path of an OpenStreetMap or world file"""
     camera_width: Annotated[int, Field(ge=32, le=4096)] = 1024
-    """Columns of the camera image."""
+    """Columns of the camera image"""
     camera_height: Annotated[int, Field(ge=24, le=3072)] = 768
-    """Rows of the camera image."""
+    """Rows of the camera image"""
     shake: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] | None = None
-    """How much the camera shakes while the robot drives: 0 not at all, 1 as on a floor that is not quite even; as is
-    usual in the world if not given."""
+    """Camera shake while the robot drives (0 = off, 1 = slightly uneven floor); by default the
+    world's own"""
     base: BaseKind = "physics"
-    """How the robot moves: by driven wheels with mass and friction, or along exact arcs (kinematic)."""
+    """Drive model: wheels with mass and friction, or exact arcs (kinematic)"""
     variation: str = "day"
-    """Conditions other than those of a fair day, for example evening, haze or moved; `smal up --help` lists them."""
+    """Conditions such as evening, haze or moved; `smal up --help` lists them"""
 
     depth: bool = True
-    """Whether the robot has a depth camera, by which it stands before what it would run into, and goes round it."""
+    """Whether the robot has a depth camera, to stop before obstacles and drive around them"""
 
     @field_validator("variation")
     @classmethod
@@ -52,27 +52,36 @@ class SimulatorSettings(RobotSettings, RootSettings):
 
 
 class Worlds:
-    """Opens worlds: those of the project, those in ``worlds/`` below the root, and the one that the settings name."""
+    """Opens included worlds, worlds in ``worlds/`` below the root, and the configured world."""
 
     def __init__(self, settings: SimulatorSettings) -> None:
         self._settings = settings
         self._first = Path(settings.world).stem
+        # World and variation that were opened last.
         self.here = (
             self._first,
             settings.variation,
-        )  # The world that was opened last, and its variation.
+        )
 
     def names(self) -> list[str]:
-        """Return the names of all worlds that can be asked for, sorted."""
+        """Return the sorted names of all available worlds."""
         own = [path.stem for path in (self._settings.root / WORLDS).glob("*.json")]
         return sorted({*known_worlds(), *filter(_may_be_asked_for, [self._first, *own])})
 
     def open(self, world: str | None = None, variation: str | None = None) -> Simulation:
-        """Open a world under some conditions, both as they were if not given; a `ServiceError` where that cannot be."""
+        """Open a world; by default the current world and variation.
+
+        Raises
+        ------
+        ServiceError
+            The world or variation is not found, or the world is unusable.
+        """
         world = world or self.here[0]
         variation = variation or self.here[1]
         if variation not in VARIATIONS:
-            raise ServiceError(f"no variation {variation!r}; known are {', '.join(VARIATIONS)}")
+            raise ServiceError(
+                f"variation {variation!r} not found; choose from {', '.join(VARIATIONS)}"
+            )
         of = self._settings
         camera = CameraSettings(of.camera_width, of.camera_height)
         try:
@@ -85,13 +94,13 @@ class Worlds:
                 depth=of.depth,
             )
         except JobError as error:
-            # Where the files lie means nothing to who asks for a name.
+            # Clients use names and do not need the folder.
             raise ServiceError(str(error).replace(f"{self._settings.root / WORLDS}/", "")) from None
         self.here = world, variation
         return simulation
 
     def _place(self, world: str) -> str:
-        """Return what `load_world` knows a world by; a link below the root leads nowhere else."""
+        """Return the name or path for `load_world`; links below the root cannot lead outside."""
         if world == self._first:
             return self._settings.world
         if world in known_worlds():
@@ -101,7 +110,7 @@ class Worlds:
         except OutsideError as error:
             raise ServiceError(f"world {world!r}: {error}") from None
         if not path.is_file():
-            raise ServiceError(f"no world {world!r}; known are {', '.join(self.names())}")
+            raise ServiceError(f"world {world!r} not found; choose from {', '.join(self.names())}")
         return str(path)
 
 

@@ -69,11 +69,6 @@ class FeatureSettings:
         """What a model's file says of them."""
         return {"modalities": self.modalities, "feature_fingerprint": self.fingerprint}
 
-    def of_images(self) -> "FeatureSettings | None":
-        """Return those that a colour image alone gives, or None where there are none."""
-        kept = tuple(name for name in self.modalities if modality_named(name).needs == "color")
-        return FeatureSettings(kept) if kept else None
-
     @property
     def text(self) -> str:
         """The modalities as `parse` reads them; ValueError where a network's file was not given to this process."""

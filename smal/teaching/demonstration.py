@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.camera import Camera, Image
-from smal.features.extraction import Parallel, in_parallel
+from smal.features.extraction import Parallel, extract, in_parallel
+from smal.features.settings import FeatureSettings
 from smal.map import GOAL_NAME
 from smal.sought.learning import Box
 
@@ -136,6 +137,15 @@ def tasks_of(
 ) -> Sequence[Task]:
     """Return what makes some of them; nothing is read before it is asked for."""
     return Made(len(numbers), lambda k: partial(task_of, arrays, numbers[k]))
+
+
+def described(images: Sequence[Image], features: FeatureSettings) -> Made:
+    """Return the raw features of images, each computed when it is asked for."""
+    return Made(len(images), lambda frame: partial(_extracted, task_of(images, frame), features))
+
+
+def _extracted(image: Task, features: FeatureSettings) -> NDArray[np.float32]:
+    return extract(image(), features)
 
 
 def chained(parts: Sequence[Sequence[NDArray[Any]] | NDArray[Any]]) -> Made:

@@ -40,13 +40,12 @@ from smal.teaching.calibration import (
 from smal.teaching.demonstration import (
     USUAL_GOAL,
     Demonstration,
-    Made,
     Task,
     chained,
     check_features,
+    described,
     drives_to_goals,
     every,
-    task_of,
     tasks_of,
 )
 from smal.teaching.movements import atom_movements
@@ -176,17 +175,11 @@ def demonstrations_of(
     camera: Camera | None = None,
 ) -> list[Demonstration]:
     """Return drives with what describes their images, made when it is wanted; see `fit`."""
-
-    def described(images: Sequence[Image]) -> Made:
-        return Made(
-            len(images), lambda frame: partial(_extracted, task_of(images, frame), features)
-        )
-
     goals = [USUAL_GOAL] * len(drives) if goals is None else goals
     return [
         Demonstration(
             f"drive-{number}",
-            described(images),
+            described(images, features),
             np.asarray(atoms, dtype=np.int8),
             images=images,
             odometry=np.asarray(odometry[0], dtype=np.float64) if odometry else None,
@@ -195,10 +188,6 @@ def demonstrations_of(
         )
         for number, ((images, atoms, *odometry), goal) in enumerate(zip(drives, goals, strict=True))
     ]
-
-
-def _extracted(image: Task, features: FeatureSettings) -> NDArray[np.float32]:
-    return extract(image(), features)
 
 
 def _described(centering: Centering, views: Iterable[Image]) -> NDArray[np.float32]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final, NoReturn
 
 import numpy as np
+import psutil
 
 from services.cli import outputs
 from services.experiments import words
@@ -94,10 +95,9 @@ def _shown(value: object) -> str:
 
 def used(pid: int) -> tuple[float, float]:
     """Return the bytes that a process holds, and the processor seconds that it has taken."""
-    proc = Path(f"/proc/{pid}")
-    times = (proc / "stat").read_text().rpartition(")")[2].split()[11:13]
-    pages = int((proc / "statm").read_text().split()[1])
-    return 1.0 * pages * os.sysconf("SC_PAGE_SIZE"), sum(map(int, times)) / os.sysconf("SC_CLK_TCK")
+    process = psutil.Process(pid)
+    times = process.cpu_times()
+    return float(process.memory_info().rss), times.user + times.system
 
 
 def verdict(target: str, measured: float, limit: float, unit: str = "") -> Record:

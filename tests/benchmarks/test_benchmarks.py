@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 
 from smal.keyframes import MapConfig
+from tests.benchmarks import places, route
 from tests.benchmarks.bus import benchmark as bus
-from tests.benchmarks.places import benchmark as places
 from tests.benchmarks.recognition import benchmark as recognition
-from tests.benchmarks.route import benchmark as route
 from tests.smal.synthetic_world import COLOR, COLUMNS, ROWS
 
 

@@ -1,1 +1,1 @@
-"""Every decoder of a stranger's bytes is fuzzed: ``python -m tests.fuzz [--seconds N] [TARGET ...]``."""
+"""Fuzz every decoder of foreign bytes: ``python -m tests.fuzz [--seconds N] [TARGET ...]``."""

@@ -29,7 +29,7 @@ from smal.map import VisualMap
 from smal.model import Model
 from smal.paper.model import PaperModel
 from smal.paper.transitions import NO_ACTION, learn_transitions
-from tests.services.recordings.recorded_messages import applied, event, observation
+from tests.services.recordings.recorded_messages import applied, event, state
 
 CHECKSUM_BYTES = 32
 COLOR = FeatureSettings(("color",))
@@ -70,11 +70,11 @@ def image_of_size(pixels: int) -> bytes:
 def recording(
     compression: CompressionType = CompressionType.NONE, *, finished: bool = True
 ) -> bytes:
-    """Return an episode of two frames, the second without features; with one schema, a short one."""
+    """Return an episode of two frames, the first without an image; with one short schema."""
     started = event("e", 0, "started")
     ended = event("e", 1, "ended", "found")
     told = [(one.topic_name, one.tick, one.model_dump_json().encode())
-            for one in (started, observation("e", 0), applied("e", 0), ended)]  # fmt: skip
+            for one in (started, state("e", 0), applied("e", 0), ended)]  # fmt: skip
     told.insert(3, ("camera/jpeg", 1, image_payload()))
     file = BytesIO()
     channels = dict[str, int]()
@@ -99,7 +99,7 @@ def leftover() -> bytes:
     writer = EpisodeWriter.begin(scratch(), event("left", 0, "started"))
     for message in (
         event("e", 0, "started"),
-        *(one("e", k) for k in range(13) for one in (observation, applied)),
+        *(one("e", k) for k in range(13) for one in (state, applied)),
     ):
         writer.write(message)
     try:

@@ -1,4 +1,4 @@
-"""Inputs that once broke a decoder, valid ones, and changes in these: none breaks it, none costs much."""
+"""Inputs that once broke a decoder, valid inputs, and changed ones: none breaks it or costs much."""
 
 import re
 import time
@@ -46,7 +46,7 @@ def test_no_crasher_is_forgotten() -> None:
 
 
 @pytest.mark.parametrize(("name", "path"), KEPT, ids=[f"{name}-{path.name}" for name, path in KEPT])
-def test_what_once_broke_a_decoder_breaks_none(name: str, path: Path) -> None:
+def test_decoder_survives_inputs_that_once_broke_it(name: str, path: Path) -> None:
     cheaply(name, path.read_bytes())
 
 
@@ -84,7 +84,7 @@ def test_changed_seeds_are_decoded_or_refused(name: str, data: st.DataObject) ->
 
 @settings(deadline=None, max_examples=100)
 @given(data=st.data(), scheme=st.sampled_from([0, 1]), value=st.sampled_from(ODD_VALUES))
-def test_a_model_whose_header_says_nonsense_is_refused_or_bears_use(
+def test_model_is_refused_or_usable_when_its_header_is_nonsense(
     data: st.DataObject, scheme: int, value: object
 ) -> None:
     """Of the paper's model, and of the map."""
@@ -121,7 +121,7 @@ def test_a_model_whose_header_says_nonsense_is_refused_or_bears_use(
         f"{value.dtype}{value.shape}" if isinstance(value, np.ndarray) else str(value)
     ),
 )
-def test_a_map_whose_arrays_do_not_fit_is_refused(name: str, array: np.ndarray | None) -> None:
+def test_map_is_refused_when_its_arrays_do_not_fit(name: str, array: np.ndarray | None) -> None:
     def change(_meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
         arrays.pop(name, None)
         if array is not None:

@@ -1,1 +1,1 @@
-"""A ROS 2 robot that is none, and the body that drives it."""
+"""A fake ROS 2 robot, and the body that drives it."""

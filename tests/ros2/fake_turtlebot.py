@@ -111,7 +111,7 @@ class Ros:
         return {"stamp": {"sec": int(at), "nanosec": int(at % 1 * 1e9)}, "frame_id": frame}
 
     def publisher(self, topic: str, type_name: str, *, latched: bool = False) -> Any:
-        """Return what publishes messages; latched (transient local), who comes later has the last one as well."""
+        """Return a function that publishes messages; latched (transient local), late subscribers get the last one."""
         key, token = self._names("MP", topic, type_name)
         if latched:
             cached = {"cache": zenoh.ext.CacheConfig(max_samples=1), "publisher_detection": True}
@@ -153,7 +153,7 @@ class Ros:
 
 
 class Base:
-    """Two wheels with a watchdog. It knows nothing of who drives it."""
+    """Two wheels with a watchdog."""
 
     def __init__(self, options: SimpleNamespace) -> None:
         self.options = options
@@ -247,7 +247,7 @@ class Base:
 
 
 class Noise:
-    """In the place of a renderer: for who looks at the wheels alone."""
+    """Noise in place of a renderer, for tests of the wheels alone."""
 
     focal_px = 50.0
 

@@ -17,8 +17,8 @@ import pytest
 
 from schemas import topics
 from schemas.base import Message
-from schemas.motion import Pose as PoseMessage
-from schemas.observation import Observation
+from schemas.camera import CompressedImage
+from schemas.motion import TruePose
 from schemas.rpc import (
     ArmRequest,
     EndRequest,
@@ -48,7 +48,7 @@ STARTED_S = 100.0
 
 @dataclass(frozen=True)
 class Robot:
-    """What the fake robot is."""
+    """The properties of the fake robot."""
 
     folder: Path
     world: str = "yard"
@@ -90,7 +90,7 @@ class Field:
             child.wait()
 
     def config(self) -> Path:
-        """Write what the service is told of this robot."""
+        """Write the configuration of this robot for the service."""
         robot = self.robot
         drive = self.world.robot.drive
         raw = robot.encoding != "jpeg"
@@ -111,7 +111,7 @@ class Field:
         return path
 
     def steps(self, since_s: float) -> list[list[float]]:
-        """Return what the wheels did: when, where, their velocities, and when the order came."""
+        """Return the steps of the wheels: time, position, velocities, and time of the order."""
         lines = self.log.read_text().splitlines()
         # The last line may be half written; of a day's work the end is enough.
         return [step for step in map(json.loads, lines[-4000:-1]) if step[0] >= since_s]
@@ -127,7 +127,7 @@ class Field:
     def begin_at(self, seed: int, purpose: str) -> Pose:
         """Carry it to where the simulator would begin an episode."""
         number = {"drive": 0, "run": 1}[purpose]
-        pose = sample_start(self.world, np.random.default_rng([seed, number, 0]), purpose)  # type: ignore[arg-type]
+        pose = sample_start(self.world, np.random.default_rng([seed, number, 0]), purpose)
         self.carry(pose)
         return pose
 
@@ -170,7 +170,7 @@ def robot_for(robot: Robot) -> Iterator[Field]:
 
 @dataclass
 class Person:
-    """Who carries the robot, drives it by the map, and says when it has found the victim."""
+    """A person that carries the robot, drives it by the map, and reports the victim."""
 
     place: Field
     client: EpisodeClient
@@ -178,16 +178,13 @@ class Person:
 
     def __post_init__(self) -> None:
         self.client.watch_poses()
-        self.client.node.subscribe(topics.OBSERVATION, self._drive, depth=4)
+        self.client.node.subscribe(topics.JPEG, self._drive, depth=4)
         self.client.node.bus.wait_connected(100.0)
 
-    def _drive(self, observation: Observation) -> Message | None:
+    def _drive(self, image: CompressedImage) -> Message | None:
         truth = self.place.truth
-        pose = PoseMessage.after(
-            observation, x_m=truth["x"], y_m=truth["y"], heading_rad=truth["heading"]
-        )
-        self.expert.see(pose)
-        return self.expert.handle(observation)
+        pose = TruePose.after(image, x_m=truth["x"], y_m=truth["y"], heading_rad=truth["heading"])
+        return self.expert.handle(pose)
 
     def demonstrate(self, seed: int, folder: Path) -> EpisodeRecord:
         """Drive to the victim once, and have that recorded."""
@@ -252,7 +249,7 @@ class Person:
 
     @property
     def detail(self) -> Detail:
-        """What the robot tells of itself."""
+        """Return the status of the robot."""
         return self.client.node.bus.call("robot", "status", Nothing(), Status).detail
 
 

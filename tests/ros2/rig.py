@@ -1,4 +1,4 @@
-"""A body, and a robot whose messages the test sends; no bus, and time as the test has it."""
+"""A body, and a robot whose messages the test sends: no bus, and a clock that the test moves."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def header(at_s: float) -> dict[str, Any]:
 
 
 class Air:
-    """The link of a test: keeps what was sent."""
+    """The link of a test: it keeps the orders sent."""
 
     def __init__(self) -> None:
         self.sent: list[tuple[float, float]] = []
@@ -95,7 +95,7 @@ class Rig:
         self.body = Ros2Body(self.config, self.senses, self.air, self.clock)
 
     def says(self, topic: str, at_s: float | None = None, **fields: Any) -> None:
-        """Have a topic send a message, stamped now unless it is told when."""
+        """Send a message on a topic, stamped now by default."""
         if self.echoes:
             self.senses.echoed(self.clock.now_s)
         kind = self.senses.inputs[topic].type_name

@@ -1,4 +1,4 @@
-"""A ROS 2 base as a body, without Zenoh: what its messages do, and what they can never do."""
+"""A ROS 2 base as a body, without Zenoh: messages in, velocities out."""
 
 import math
 from pathlib import Path
@@ -39,9 +39,7 @@ def test_shares_become_velocities(rig: Rig) -> None:
 @pytest.mark.parametrize(
     ("silent", "topic"), [("wheels", "/odom"), ("scan", "/scan"), ("hazards", "/hazards")]
 )
-def test_who_must_be_heard_and_is_silent_stands_the_robot(
-    rig: Rig, silent: str, topic: str
-) -> None:
+def test_robot_stands_when_a_required_topic_is_silent(rig: Rig, silent: str, topic: str) -> None:
     rig.begun()
     for _ in range(60):
         rig.passes(0.01, silent)
@@ -52,7 +50,7 @@ def test_who_must_be_heard_and_is_silent_stands_the_robot(
     assert rig.may_go("forward")
 
 
-def test_a_button_that_speaks_only_of_changes_must_have_spoken_once(tmp_path: Path) -> None:
+def test_button_that_reports_changes_must_have_reported_once(tmp_path: Path) -> None:
     rig = Rig(tmp_path, stops=", {topic: button, type: std_msgs/msg/Bool, silence_s: null}")
     rig.known()
     with pytest.raises(ServiceError, match=r"^base: no message received from /button; does"):
@@ -70,8 +68,8 @@ def test_a_button_that_speaks_only_of_changes_must_have_spoken_once(tmp_path: Pa
     assert not rig.may_go("forward")
 
 
-def test_a_base_that_nobody_reaches_is_told_to_stand(rig: Rig) -> None:
-    rig.begun().air.lack = "/cmd_vel has no subscriber"
+def test_base_is_ordered_to_stand_when_it_is_unreachable(rig: Rig) -> None:
+    rig.begun().air.lack = "nobody subscribes to /cmd_vel"
     assert not rig.may_go("forward")
     with pytest.raises(
         ServiceError, match=r"^base: /cmd_vel has no subscriber; does tcp/\S+ reach it"
@@ -93,7 +91,7 @@ def test_why_it_stands_is_logged_once_and_when_that_is_over(
     ]
 
 
-def test_a_camera_that_is_silent_or_sends_no_picture_makes_no_frame_new(rig: Rig) -> None:
+def test_frame_is_not_new_when_the_camera_is_silent_or_invalid(rig: Rig) -> None:
     seen = rig.begun().body.look(0)
     assert rig.body.peek() == seen.jpeg
     rig.passes(0.3, "picture")
@@ -120,7 +118,7 @@ def test_a_camera_that_is_silent_or_sends_no_picture_makes_no_frame_new(rig: Rig
         ((0, 5), "left right", False),
     ],
 )
-def test_hazards_forbid_what_would_make_them_worse(
+def test_hazards_forbid_motions_that_worsen_them(
     rig: Rig, numbers: tuple[int, ...], allowed: str, touched: bool
 ) -> None:
     rig.begun().hazards(*numbers)
@@ -152,7 +150,7 @@ def test_something_near_forbids_to_go_there(
     assert rig.ways() == allowed
 
 
-def test_what_is_not_finite_or_no_message_or_out_of_order_is_refused_and_counted(rig: Rig) -> None:
+def test_message_is_refused_and_counted_when_it_is_invalid(rig: Rig) -> None:
     rig.begun()
     before = rig.senses.wheels_at(rig.clock.now_s)
     rig.clock.now_s += 0.01
@@ -175,7 +173,6 @@ def test_odometry_begins_anew_with_an_episode_and_never_leaps(rig: Rig) -> None:
         rig.wheels(10.0, 5.0 + 0.04 * k, math.pi / 2)
         rig.picture()
     told = rig.body.look(1).odometry
-    assert told is not None
     assert (told.x_m, told.y_m, told.speed_m_s) == pytest.approx((0.4, 0.0, 0.4), abs=1e-9)
     # Its driver was started again, and counts from nothing.
     for x in (0.0, 0.04):
@@ -183,14 +180,11 @@ def test_odometry_begins_anew_with_an_episode_and_never_leaps(rig: Rig) -> None:
         rig.wheels(x)
     rig.picture()
     told = rig.body.look(2).odometry
-    assert told is not None
     assert (told.x_m, told.y_m) == pytest.approx((0.44, 0.0), abs=1e-9)
     assert rig.body.detail()["odometry_leaps"] == 1
 
 
-def test_wheels_that_count_anew_after_a_silence_have_not_leapt_and_what_was_gone_in_it_counts() -> (
-    None
-):
+def test_track_keeps_its_way_when_wheels_restart_after_silence() -> None:
     track = WheelTrack(0.2, 0.6, 0.25)
     track.add(0.0, 1.0, 0.0, 0.0)
     assert track.add(0.5, 1.1, 0.0, 0.3).ahead_m == pytest.approx(0.1, rel=0.05)
@@ -264,7 +258,7 @@ def test_raw_pixels_that_cannot_be_are_one_line(fields: dict[str, Any], line: st
         picture(SimpleNamespace(**told))
 
 
-def test_what_is_missing_is_one_line_at_the_beginning(rig: Rig) -> None:
+def test_body_names_the_missing_topic_when_it_begins(rig: Rig) -> None:
     with pytest.raises(
         ServiceError, match=r"no image received from /camera/\S+; does tcp/.* fit\?$"
     ):

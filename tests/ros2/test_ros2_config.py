@@ -1,4 +1,4 @@
-"""What a robot is told of its base: every mistake is one clear line."""
+"""The configuration of a base: every mistake is one clear line."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from tests.command import run_smal
 
 
 @pytest.mark.parametrize("preset", known_presets())
-def test_a_preset_needs_only_what_nobody_else_knows(preset: str, tmp_path: Path) -> None:
+def test_preset_needs_only_the_watchdog(preset: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(f"preset: {preset}\n")
     with pytest.raises(
@@ -80,10 +80,10 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
         ),
         ("- a\n", "expected settings such as `preset: turtlebot4`"),
         ("", "expected settings such as"),
-        ("a: [\n", "invalid YAML in line"),
-        ("!!python/object/apply:os.system ['true']\n", "invalid YAML"),
-        ("[" * 5000, "invalid YAML"),
-        ("a: " + "x" * 70000, "too large for a configuration (maximum 65536 bytes)"),
+        ("a: [\n", "no YAML in line"),
+        ("!!python/object/apply:os.system ['true']\n", "no YAML"),
+        ("[" * 1500, "no YAML"),
+        ("a: " + "x" * 70000, "larger than 65536 bytes"),
     ],
 )
 def test_a_mistake_is_one_line_that_names_it(text: str, line: str, tmp_path: Path) -> None:
@@ -98,9 +98,7 @@ def test_a_mistake_is_one_line_that_names_it(text: str, line: str, tmp_path: Pat
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(st.binary(max_size=60))
-def test_whatever_is_in_the_file_is_read_or_refused_in_one_line(
-    tmp_path: Path, data: bytes
-) -> None:
+def test_config_is_refused_in_one_line_when_it_is_any_bytes(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "mine.yaml"
     path.write_bytes(data)
     with pytest.raises(UsageError) as caught:
@@ -111,13 +109,11 @@ def test_whatever_is_in_the_file_is_read_or_refused_in_one_line(
 @pytest.mark.parametrize(
     ("flags", "line"),
     [
-        (("--ros2-config", "x.yaml"), "--robot-body ros2 and --ros2-config FILE go together"),
-        (("--robot-body", "ros2", "--ros2-config", "x.yaml"), "x.yaml: no such file or directory"),
+        (("--robot-body", "x.yaml"), "x.yaml: no such file or directory"),
+        (("--robot-body", "none", "--model", "x.smal"), "x.smal"),
     ],
 )
-def test_smal_up_says_what_is_wrong_before_anything_starts(
-    flags: tuple[str, ...], line: str
-) -> None:
+def test_up_reports_a_bad_config_before_it_starts(flags: tuple[str, ...], line: str) -> None:
     done = run_smal("up", *flags)
     assert done.returncode == 2
     assert line in done.stderr

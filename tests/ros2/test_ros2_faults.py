@@ -1,4 +1,4 @@
-"""A fake TurtleBot is driven, and harmed: by its own log its wheels stand in time, whatever is killed or frozen."""
+"""Harm a driven fake TurtleBot: by its own log its wheels stand in time."""
 
 import math
 import os
@@ -20,9 +20,9 @@ from schemas.rpc import ArmRequest, Nothing, ResetReply, ResetRequest, Status
 from services.cli.stack import free_endpoint
 from services.kit.bus import Bus, Router, RpcError
 from services.robot.loop import STAND_WITHIN_S
-from tests.benchmarks.faults.proxy import link
 from tests.ros2.fake_turtlebot import now_s
 from tests.ros2.field import Field, Robot, robot_for, until
+from tests.services.waiting import collected
 
 pytestmark = [pytest.mark.rendering, pytest.mark.zenoh, pytest.mark.system]
 #: How long a fault lasts: what is frozen for longer than Zenoh's links take to notice, which is 2 s.
@@ -32,12 +32,9 @@ DIALECTS = (
     "rmw_zenoh of humble, stamped",
     "zenoh-bridge-ros2dds",
 )  # A day of rmw_zenoh of jazzy is another test.
-#: What is harmed, and how; most is the same in all dialects. A link that is down is a black hole, as a frozen one.
-HARMS = {
-    DIALECTS[0]: [*((part, harm) for part in ("robot", "router", "camera") for harm in ("kill", "freeze")),
-                  ("link", "freeze")],
-    DIALECTS[1]: [("router", "freeze")],
-}  # fmt: skip
+#: The harmed part and the fault. Most is the same in all dialects.
+EVERY_HARM = [(part, harm) for part in ("robot", "router", "camera") for harm in FAULT_S]
+HARMS = {DIALECTS[0]: EVERY_HARM, DIALECTS[1]: [("router", "freeze")]}
 
 
 @dataclass
@@ -47,7 +44,6 @@ class Driven:
     place: Field
     bus: Bus
     endpoint: str
-    link_pid: int
     dialect: str
     robot: subprocess.Popen[bytes] | None = None
     drives: bool = True
@@ -81,7 +77,7 @@ class Driven:
 
     @property
     def detail(self) -> dict[str, object]:
-        """What the service tells of itself; nothing while it does not answer."""
+        """Return the status of the service, empty while it does not answer."""
         try:
             return dict(self.bus.call("robot", "status", Nothing(), Status, timeout_s=1.0).detail)
         except RpcError:
@@ -119,20 +115,17 @@ def driven(
         robot = replace(robot, humble=True, encoding="yuv422", twist="TwistStamped")
     with ExitStack() as stacked:
         place = stacked.enter_context(robot_for(robot))
-        way = stacked.enter_context(link(place.endpoint))
-        config = place.config()
-        config.write_text(config.read_text().replace(place.endpoint, way.address))
+        place.config()
         endpoint = free_endpoint()
         stacked.callback(Router(endpoint).close)
         bus = stacked.enter_context(closing(Bus("fake", endpoint)))
-        one = Driven(place, bus, endpoint, way.pid, request.param)
+        one = Driven(place, bus, endpoint, request.param)
         bus.subscribe(topics.ODOMETRY, one.answer)
         one.start()
         try:
             until(one.moves)
             yield one
         finally:
-            assert one.robot is not None
             one.robot.kill()
             one.robot.wait()
 
@@ -142,9 +135,7 @@ def test_the_base_stands_in_time_and_drives_again(
 ) -> None:
     for part, harm in HARMS[driven.dialect]:
         until(driven.moves)
-        assert driven.robot is not None
-        pids = {"robot": driven.robot.pid, "link": driven.link_pid}
-        pid = pids.get(part) or driven.place.children[part].pid
+        pid = driven.robot.pid if part == "robot" else driven.place.children[part].pid
         began_s = now_s()
         os.kill(pid, signal.SIGKILL if harm == "kill" else signal.SIGSTOP)
         time.sleep(
@@ -168,13 +159,9 @@ def test_the_base_stands_in_time_and_drives_again(
         until(driven.moves)
 
 
-def test_wheels_that_were_started_again_are_driven_on_and_have_not_leapt(driven: Driven) -> None:
+def test_odometry_continues_when_the_base_restarts(driven: Driven) -> None:
     until(driven.moves)
-    heard: list[Odometry] = []
-    driven.bus.subscribe(
-        topics.ODOMETRY,
-        lambda payload, encoding, _: heard.append(decode(Odometry, payload, encoding)),
-    )
+    heard = collected(driven.bus, topics.ODOMETRY)
     until(lambda: heard)
     base = driven.place.children["base"]
     base.kill()
@@ -203,7 +190,7 @@ def test_a_driver_that_is_silent_is_noticed(
     until(driven.moves)
 
 
-def test_the_log_and_the_status_say_what_the_base_takes_and_how_its_clock_stands(
+def test_status_and_log_name_velocity_type_and_clock_offset(
     driven: Driven,
 ) -> None:
     detail = driven.detail

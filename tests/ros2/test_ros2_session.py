@@ -1,4 +1,4 @@
-"""The session with a robot's router: what it hears of buttons that speak only of changes, and what is too large."""
+"""The session with a robot's router: buttons that report only changes, and messages that are too large."""
 
 import math
 import os
@@ -46,7 +46,7 @@ class Place:
         self.robot: Ros | None = None
 
     def start_robot(self) -> Callable[[bool], None]:
-        """Start the robot's process; return what says whether its button is pressed."""
+        """Start the robot's process; return a function that presses or releases its button."""
         options = {"humble": False, "clock_offset": 0.0}
         robot = Ros(
             "robot", SimpleNamespace(endpoint=self.endpoint, dialect=self.dialect, **options)
@@ -64,7 +64,7 @@ class Place:
 
     @staticmethod
     def config(folder: Path, endpoint: str, dialect: str, velocity: str = velocity) -> Path:
-        """Write what the service is told of this robot."""
+        """Write the configuration of this robot for the service."""
         path = folder / "robot.yaml"
         path.write_text(
             f"preset: generic\nwatchdog_s: 0.2\nrouter: {endpoint}\ndialect: {dialect}\nodometry: null\n"
@@ -89,17 +89,15 @@ def stack() -> Iterator[ExitStack]:
 def make(
     request: pytest.FixtureRequest, tmp_path: Path, stack: ExitStack
 ) -> Callable[[bool], Place]:
-    """Return what makes a place, whose button's last word is kept or not."""
+    """Return a function that makes a place, with a latched button or not."""
     return lambda latched: stack.enter_context(closing(Place(tmp_path, request.param, latched)))
 
 
 def test_age_is_at_least_the_delay_when_a_link_is_late(
     make: Callable[[bool], Place], stack: ExitStack
 ) -> None:
-    """The link is late from the first picture on; the least delay counted as none, so pictures were 0.0 s old."""
     place = make(False)
     place.start_robot()
-    assert place.robot is not None
     show = place.robot.publisher("camera/image_raw/compressed", COMPRESSED_IMAGE)
     router = place.endpoint
     late = stack.enter_context(link(router))
@@ -119,7 +117,6 @@ def test_age_is_at_least_the_delay_when_a_link_is_late(
             return senses.frame is not frame  # noqa: B023
 
         eventually(arrives)
-        assert senses.frame is not None
         stamp = senses.frame.message.header.stamp
         delay_s = time.time() - stamp.sec - stamp.nanosec / 1e9
         if not math.isfinite(senses.camera_clock.delay_s):
@@ -153,7 +150,7 @@ def test_a_button_that_was_pressed_before_we_came_is_seen(
     eventually(lambda: released(senses))
 
 
-def test_a_button_that_never_spoke_forbids_and_so_does_one_that_went(
+def test_robot_stands_when_its_button_is_silent_or_gone(
     make: Callable[[bool], Place], stack: ExitStack
 ) -> None:
     place = make(False)
@@ -163,7 +160,6 @@ def test_a_button_that_never_spoke_forbids_and_so_does_one_that_went(
     time.sleep(NOTHING_S)
     assert unheard(senses)
     eventually(lambda: (say(False), released(senses))[1])
-    assert place.robot is not None
     place.robot.session.close()
     eventually(lambda: place.session.lacks() == f"{BUTTON} has no publisher")
     say = place.start_robot()
@@ -173,7 +169,7 @@ def test_a_button_that_never_spoke_forbids_and_so_does_one_that_went(
 
 
 @pytest.mark.parametrize("latched", [True, False])
-def test_what_a_button_said_during_an_outage_is_asked_for(
+def test_button_state_is_fetched_after_an_outage(
     make: Callable[[bool], Place], stack: ExitStack, *, latched: bool
 ) -> None:
     place = make(latched)
@@ -194,14 +190,13 @@ def test_what_a_button_said_during_an_outage_is_asked_for(
     assert not senses.refused
 
 
-def test_a_message_that_is_larger_than_any_may_be_is_dropped_while_it_comes(
+def test_message_is_dropped_when_it_is_too_large(
     make: Callable[[bool], Place], stack: ExitStack
 ) -> None:
     place = make(False)
     say: Any = place.start_robot()
     senses = place.listen(stack)
     eventually(lambda: (say(False), released(senses))[1])
-    assert place.robot is not None
     key = place.robot._names("MP", "button", BOOL)[0]
     block = zenoh.CongestionControl.BLOCK
     place.robot.session.put(key, bytes(2 * LARGEST_BYTES), congestion_control=block)

@@ -1,4 +1,4 @@
-"""How ROS 2 speaks over Zenoh: by what a real node sent, and by what another implementation reads of what we write."""
+"""ROS 2 over Zenoh: recordings of a real node, and a second implementation that reads our bytes."""
 
 import struct
 
@@ -34,7 +34,7 @@ JAZZY = Messages("jazzy")
 DIALECT = RmwZenoh(JAZZY, 0, "")
 
 
-def test_reads_what_a_real_node_attached_and_told_of_itself() -> None:
+def test_wire_reads_attachment_and_token_of_a_real_node() -> None:
     attached = read_attachment(ATTACHED)
     assert attached == Attachment(
         216, 1784824452167621172, bytes.fromhex("f07168d3856ce9f689254cbed6252151")
@@ -57,7 +57,7 @@ def test_writes_the_key_and_the_token_of_that_node() -> None:
     assert token == SAID
 
 
-def test_reads_the_attachments_of_older_releases_that_name_their_values() -> None:
+def test_wire_reads_attachments_of_older_releases() -> None:
     gid = bytes(range(16))
     old = (
         b"\x0fsequence_number" + struct.pack("<q", 7) + b"\x10source_timestamp" + struct.pack("<q", 11)
@@ -67,13 +67,13 @@ def test_reads_the_attachments_of_older_releases_that_name_their_values() -> Non
 
 
 @given(st.binary(max_size=80))
-def test_whatever_is_attached_is_read_or_refused(data: bytes) -> None:
+def test_attachment_is_read_or_refused_when_it_is_any_bytes(data: bytes) -> None:
     attached = read_attachment(data)
     assert attached is None or data in {attached.write()} or b"sequence_number" in data
 
 
 @given(st.text(max_size=80))
-def test_whatever_a_token_says_is_read_or_refused(text: str) -> None:
+def test_token_is_read_or_refused_when_it_is_any_text(text: str) -> None:
     for dialect in (DIALECT, Bridge()):
         for token in (
             text,
@@ -116,9 +116,7 @@ def test_another_implementation_makes_the_same_keys(type_name: str, topic: str) 
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5))
-def test_another_implementation_reads_our_velocities_and_we_read_its(
-    ahead: float, turn: float
-) -> None:
+def test_velocities_agree_with_another_implementation(ahead: float, turn: float) -> None:
     written = JAZZY.velocity(ahead, turn, None)
     assert other.twist_from_cdr(written) == ((ahead, 0.0, 0.0), (0.0, 0.0, turn))
     read = JAZZY.read(
@@ -135,11 +133,11 @@ def test_a_stamped_velocity_is_the_stamp_and_the_same_velocity() -> None:
 
 
 @pytest.mark.parametrize(("stamp_ns", "seconds"), [(-1, 0), (2**31 * 10**9, 2**31 - 1)])
-def test_a_velocity_is_sent_whatever_the_robots_clock_says(stamp_ns: int, seconds: int) -> None:
+def test_velocity_is_sent_when_the_robot_clock_is_invalid(stamp_ns: int, seconds: int) -> None:
     assert struct.unpack_from("<iI", JAZZY.velocity(0.0, 0.0, stamp_ns), 4) == (seconds, 0)
 
 
-def test_the_bridge_has_plain_keys_and_tells_what_its_robot_takes() -> None:
+def test_bridge_has_plain_keys_and_reads_velocity_types() -> None:
     bridge = Bridge()
     assert bridge.key("/robot1/cmd_vel", messages.TWIST) == "robot1/cmd_vel"
     said = "@/9ca0f8fa/@ros2_lv/MS/robot1§cmd_vel/geometry_msgs§msg§TwistStamped/:::"

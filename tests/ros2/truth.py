@@ -1,4 +1,4 @@
-"""Where the fake robot truly is: a small file that its processes and the tests share, without a message."""
+"""The true state of the fake robot: a small file that its processes and the tests share."""
 
 from pathlib import Path
 

@@ -21,7 +21,7 @@ from schemas.codec import encode, encoding_of
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 from schemas.heartbeat import Heartbeat, Pulse
-from schemas.motion import Imu, ImuSample, Odometry, Pose, TrackedPose
+from schemas.motion import Imu, ImuSample, Odometry, TrackedPose, TruePose
 from schemas.observation import Detected, Observation
 from schemas.rpc import LoadRequest
 from schemas.snapshot import Snapshot
@@ -75,7 +75,7 @@ EXAMPLES: dict[type[Message], Message] = {
     TrackedPose: TrackedPose(
         **HEADER, visible=True, x_m=12.5, y_m=-3.25, heading_rad=1.5, error_px=0.25
     ),
-    Pose: Pose(**HEADER, x_m=12.5, y_m=-3.25, heading_rad=1.5),
+    TruePose: TruePose(**HEADER, x_m=12.5, y_m=-3.25, heading_rad=1.5),
     Observation: Observation(
         **HEADER,
         fingerprint="0123456789abcdef",

@@ -12,6 +12,7 @@ import numpy as np
 from schemas.array import Float32Array
 from schemas.base import Message
 from schemas.camera import CompressedImage
+from schemas.command import Command
 from schemas.motion import Odometry
 from schemas.observation import Observation
 from schemas.state import State
@@ -83,7 +84,7 @@ def wheels(tick: int, pose: Pose | None = None, episode: str = "e") -> Odometry:
 
 
 def identity(model: Path) -> str:
-    """Return what states say of the model that they come from: the beginning of its file's checksum."""
+    """Return the model's name in states: the beginning of the checksum of its file."""
     return model.read_bytes()[-32:].hex()[:16]
 
 
@@ -92,6 +93,12 @@ def state(tick: int, model: Path | None, episode: str = "e", **fields: object) -
     header = Message(robot="rescuebot", episode=episode, tick=tick, stamp_ns=tick * 100_000_000)
     named = {"status": "idle"} if model is None else {"model": identity(model)}
     return State.after(header, **named, **fields)
+
+
+def command(tick: int, robot: str = "rescuebot", source: str = "teleop") -> Command:
+    """Return a command to turn left."""
+    header = {"robot": robot, "episode": "e", "tick": tick, "stamp_ns": 0}
+    return Command.model_validate(header | {"source": source, "atom": "left"})
 
 
 def save_model(path: Path, frames: int = 18) -> Path:

@@ -6,12 +6,14 @@ Every router is a real one, of Zenoh, for one test alone. The functions that wai
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
 from services.kit.bus import Bus, Router
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
+from tests import corridor
 
 RunNode = Callable[[Node], Node]
 
@@ -70,3 +72,9 @@ def run_node(router_endpoint: str) -> Iterator[RunNode]:
         thread.join(100.0)
         assert not thread.is_alive(), f"{node.name} did not stop"
         node.close()
+
+
+@pytest.fixture(scope="session")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Save a model with a map of views of the corridor; return its file."""
+    return corridor.save_model(tmp_path_factory.mktemp("model") / "mapped.smal")

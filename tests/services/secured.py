@@ -1,4 +1,4 @@
-"""A router that knows who is who, and raw sessions with the certificates of each role."""
+"""A router with certificates, and raw sessions of each role."""
 
 import json
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ def open_session(
     more: dict[str, object] | None = None,
     mode: str = "client",
 ) -> zenoh.Session:
-    """Open a session as a stranger's program might: with our settings, and whatever else it likes."""
+    """Open a session as a foreign program can: with our settings, and any others."""
     config = zenoh.Config()
     for key, value in (
         settings_of("client", endpoint, credentials) | {"mode": mode} | (more or {})

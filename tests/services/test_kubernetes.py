@@ -1,4 +1,4 @@
-"""The manifests for Kubernetes: they are what its API takes, and say what the table of services says."""
+"""The manifests for Kubernetes fit its API and the table of services."""
 
 import re
 import runpy
@@ -48,7 +48,7 @@ def test_the_api_takes_them(objects: list[Object]) -> None:
 
 
 @overlays
-def test_every_service_of_the_table_has_a_workload_of_its_own_image_and_certificate(
+def test_each_service_has_its_workload_image_and_certificate(
     objects: list[Object],
 ) -> None:
     workloads = of_kind(objects, "Deployment", "StatefulSet")
@@ -84,13 +84,18 @@ def test_every_service_of_the_table_has_a_workload_of_its_own_image_and_certific
 
 
 @overlays
-def test_nothing_secret_stands_in_them(objects: list[Object]) -> None:
+def test_manifests_refer_to_secrets_by_path_only(objects: list[Object]) -> None:
     assert not of_kind(objects, "Secret")
-    assert "PRIVATE KEY" not in str(objects)
+    settings = dict(of_kind(objects, "ConfigMap")["smal"]["data"])
+    for container in (container for one in objects for container in containers(one)):
+        settings |= {entry["name"]: entry["value"] for entry in container.get("env", [])}
+    secret = {name for name in settings if re.search(r"CERT|KEY|TOKEN|CA$|CA_FILE$", name)}
+    assert secret >= {"SMAL_TLS_CA", "SMAL_TLS_CERT", "SMAL_TLS_KEY"}
+    assert all(settings[name].startswith("/run/secrets/") for name in secret)
 
 
 @overlays
-def test_containers_may_do_nothing_but_their_work(objects: list[Object]) -> None:
+def test_containers_are_restricted(objects: list[Object]) -> None:
     for pod in (pod for one in objects for pod in pods_of(one)):
         assert pod["automountServiceAccountToken"] is False
         assert pod["securityContext"]["runAsNonRoot"]
@@ -108,7 +113,7 @@ def test_containers_may_do_nothing_but_their_work(objects: list[Object]) -> None
 
 
 @overlays
-def test_nobody_is_killed_for_being_busy_or_cut_off_and_what_cannot_run_twice_does_not(
+def test_busy_pods_live_and_single_services_are_recreated(
     objects: list[Object],
 ) -> None:
     for name, one in of_kind(objects, "Deployment", "StatefulSet").items():
@@ -184,7 +189,7 @@ def reaches(objects: list[Object], giver: dict[str, str], taker: dict[str, str],
 
 
 @overlays
-def test_all_on_the_bus_reach_the_routers_and_nobody_reaches_anything_else(
+def test_only_services_reach_the_routers(
     objects: list[Object],
 ) -> None:
     dask = {"dask.org/cluster-name": "dask"}
@@ -197,7 +202,7 @@ def test_all_on_the_bus_reach_the_routers_and_nobody_reaches_anything_else(
 
 
 @overlays
-def test_from_outside_only_metrics_are_read_and_that_by_prometheus_alone(
+def test_only_prometheus_reads_metrics_from_outside(
     objects: list[Object],
 ) -> None:
     outside = [

@@ -17,11 +17,6 @@ from tests.services.chain import state
 
 
 @pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return corridor.save_model(tmp_path_factory.mktemp("model") / "mapped.smal")
-
-
-@pytest.fixture(scope="module")
 def papers_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("model") / "paper.smal"
     corridor.paper_model().save(path)
@@ -119,9 +114,7 @@ def test_a_lost_robot_looks_all_round_and_then_guesses(policy: PolicyService, mo
     ]
 
 
-def test_a_repeated_state_has_the_same_answer_and_turns_no_further(
-    policy: PolicyService, model: Path
-) -> None:
+def test_repeated_state_has_the_same_answer(policy: PolicyService, model: Path) -> None:
     answer = policy.handle(belief(0, model, lost=0.9))
     assert all(policy.handle(belief(0, model, lost=0.9)) == answer for _ in range(500))
     assert made(policy.handle(belief(1, model, lost=0.9)))[0] == "look_around"
@@ -169,7 +162,6 @@ def test_it_stops_for_a_state_of_another_scheme(
 def test_it_stops_for_a_place_that_its_model_does_not_have(
     policy: PolicyService, model: Path, papers_model: Path
 ) -> None:
-    """States come over the network: one that names the right model may still be wrong."""
     papers = PolicyService()
     papers.load(LoadedModel.read(papers_model))
     beyond = state(0, papers_model, status="recognized", state=1_000_000)

@@ -1,4 +1,4 @@
-"""Recognition by the filter, its handlers alone: which frames it answers, when, and with what it knows."""
+"""Recognition by the filter, its handlers alone."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -21,11 +21,6 @@ from tests import corridor
 from tests.places import estimate
 from tests.services.chain import identity, observation, picture, save_model, seen, wheels
 from tests.services.recordings.recorded_messages import applied
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return corridor.save_model(tmp_path_factory.mktemp("model") / "mapped.smal")
 
 
 @pytest.fixture
@@ -58,16 +53,13 @@ def test_a_state_is_a_belief_over_places(service: RecognitionService, model: Pat
     assert state.tracked_m == pytest.approx(1.4, abs=0.01)
 
 
-def test_a_renewed_map_goes_on_from_what_was_believed(
-    service: RecognitionService, tmp_path: Path
-) -> None:
+def test_renewed_map_keeps_the_belief(service: RecognitionService, tmp_path: Path) -> None:
     for tick in range(8):
         at(service, tick)
     renewed = corridor.save_renewed(tmp_path / "renewed.smal")
     service.load(LoadedModel.read(renewed))
     service.see(wheels(8))
     state = service.handle(seen(8))
-    assert state is not None
     assert (state.model, state.tracked_m) == (identity(renewed), pytest.approx(1.6, abs=0.05))
     assert estimate(state) == pytest.approx((1.6, 0.0), abs=0.1)
 
@@ -77,13 +69,12 @@ def test_a_view_of_nowhere_is_unknown(service: RecognitionService) -> None:
         service.see(wheels(tick))
         features = Float32Array.from_numpy(extract(picture(tick), corridor.FEATURES))
         state = service.handle(seen(tick).model_copy(update={"features": features}))
-    assert state is not None
     assert state.status == "unknown"
     assert state.lost > 0.5
     assert len(state.keyframes)
 
 
-def test_what_a_detector_has_found_is_seen(tmp_path: Path) -> None:
+def test_detected_target_is_seen(tmp_path: Path) -> None:
     tells = Word("apriltag 7", 0.04, np.where(SCORES < 0.5, -2.0, 9.0))
     replace(corridor.model(), words={"victim": tells}).save(tmp_path / "way.smal")
     service = RecognitionService()
@@ -95,12 +86,11 @@ def test_what_a_detector_has_found_is_seen(tmp_path: Path) -> None:
             service.see(wheels(tick, episode=label[-1]))
             update = {"picture": picture, "detected": (Detected(label=label, score=1.0, box=box),)}
             state = service.handle(seen(tick, episode=label[-1]).model_copy(update=update))
-        assert state is not None
         assert state.seen == pytest.approx(found, abs=0.05)
     assert (state.near, state.seen_left) == (pytest.approx(1.0), pytest.approx(0.1))
 
 
-def test_one_that_watches_tells_of_strange_ground_and_refuses_a_model_that_knows_none(
+def test_unexpected_ground_is_reported_when_it_is_watched(
     tmp_path: Path,
 ) -> None:
     black = Ground(np.zeros((len(corridor.model().mapped.keyframes), 9, 3), dtype=np.uint8), 0.1)
@@ -119,7 +109,6 @@ def test_one_that_watches_tells_of_strange_ground_and_refuses_a_model_that_knows
             state = service.handle(
                 seen(tick).model_copy(update={"picture": light, "stamp_ns": tick * 100_000_000})
             )
-        assert state is not None
         assert (state.strange_m is not None) == watches
 
 
@@ -147,14 +136,13 @@ def test_a_frame_that_is_sent_again_has_the_same_answer(service: RecognitionServ
     assert estimate(fresh)[0] == pytest.approx(0.6, abs=0.1)
 
 
-def test_without_odometry_it_goes_on_when_the_frame_is_sent_again(
+def test_recognition_goes_on_without_odometry_on_a_resent_frame(
     service: RecognitionService,
 ) -> None:
     for tick in range(3):
         at(service, tick)
     assert service.handle(seen(3)) is None
     state = service.handle(seen(3))
-    assert state is not None
     assert (state.tick, state.status) == (3, "recognized")
     # The odometry that follows says how far the robot went in both frames.
     later = at(service, 4)
@@ -162,7 +150,7 @@ def test_without_odometry_it_goes_on_when_the_frame_is_sent_again(
     assert estimate(later)[0] == pytest.approx(0.8, abs=0.1)
 
 
-def test_taught_without_odometry_it_goes_by_what_the_actuator_did(tmp_path: Path) -> None:
+def test_recognition_uses_commands_when_taught_without_odometry(tmp_path: Path) -> None:
     path = tmp_path / "unmeasured.smal"
     corridor.model(odometry=False).save(path)
     service = RecognitionService()
@@ -177,7 +165,6 @@ def test_taught_without_odometry_it_goes_by_what_the_actuator_did(tmp_path: Path
         state = service.handle(seen(tick).model_copy(update={"stamp_ns": tick * 100_000_000}))
         assert (state is None) == (tick in (3, 4))
         service.behind = lambda: False
-    assert state is not None
     # In the unit of such a map, one atom ahead.
     assert state.tracked_m == pytest.approx(8.0, rel=0.05)
     x, _ = estimate(state, corridor.model(odometry=False))
@@ -223,7 +210,6 @@ def test_recognition_answers_when_the_odometry_jumps_far(service: RecognitionSer
         far = tick % 2 == 1 and tick < 20
         service.see(wheels(tick, (1e6, 1e6, 3.0) if far else (0.2 * (tick - 20), 0.0, 0.0)))
         state = service.handle(seen(tick, (0.2 * max(tick - 20, 0), 0.0, 0.0)))
-        assert state is not None
         assert np.abs(state.places.to_numpy()[:, 1]).max() <= 1e6
     assert state.status == "recognized"
     assert estimate(state) == pytest.approx((3.8, 0.0), abs=0.2)

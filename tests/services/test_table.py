@@ -1,8 +1,9 @@
-"""The one table of services: what is derived from it, and that adding a service is a folder and a row."""
+"""The table of services: everything that is derived from it, and a new service as a folder and a row."""
 
 from pathlib import Path
 
 import pytest
+import yaml
 
 from schemas import topics
 from schemas.topics import TOPICS, Topic
@@ -37,34 +38,34 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Service:
 
 
 @pytest.mark.parametrize("topic", TOPICS.values(), ids=lambda topic: topic.name)
-def test_every_topic_has_somebody_who_publishes_it(topic: Topic) -> None:
+def test_topic_has_one_kind_of_publisher(topic: Topic) -> None:
     senders = givers(topic)
     # A person drives at one of two places.
     assert len(senders) == 1 or senders == ("console", "teleop")
-    # A robot hears whether there is another one of its id, and instances of a service what they hand on.
+    # Robots receive the pulses of others, and instances of a service the snapshots of others.
     to_itself = topic is topics.PULSE or topic in topics.SNAPSHOTS.values()
     assert set(senders) & set(takers(topic)) == (set(senders) if to_itself else set())
 
 
+COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]
+SECURE = yaml.safe_load((ROOT / "deploy" / "secure.yml").read_text())["services"]
+
+
 @pytest.mark.parametrize("name", stack_services())
-def test_the_compose_file_runs_every_service_in_its_image(name: str) -> None:
+def test_compose_runs_each_service_in_its_image(name: str) -> None:
     row = SERVICES[name]
-    compose = (ROOT / "docker-compose.yml").read_text()
-    before, command, _ = compose.partition(f"command: python {' '.join(row.command)}\n")
-    assert command, f"docker-compose.yml has no container for {name}"
-    # The anchors that a container is made of stand above its command.
-    assert f"*{row.image}_image" in before[before.rindex("<<: [") :].splitlines()[0]
+    container = COMPOSE[name]
+    assert container["command"].split() == ["python", *row.command]
+    assert container["build"]["target"] == row.image
 
 
 @pytest.mark.parametrize("name", stack_services())
-def test_every_container_has_a_certificate_of_its_own(name: str) -> None:
-    compose = (ROOT / "deploy" / "secure.yml").read_text()
-    own = compose.partition(f"\n  {name}:\n")[2].partition("\n  ")[2].partition("\n  r")[0]
-    assert f"{{source: {name}-cert, target: cert.pem}}" in own
-    assert f"{{source: {name}-key, target: key.pem}}" in own
+def test_container_has_a_certificate_of_its_own(name: str) -> None:
+    secrets = {one["target"]: one["source"] for one in SECURE[name]["secrets"]}
+    assert secrets == {"ca.pem": "ca", "cert.pem": f"{name}-cert", "key.pem": f"{name}-key"}
 
 
-def test_a_new_service_starts_with_the_stack_and_the_doctor_finds_it(
+def test_new_service_starts_with_the_stack(
     toy: Service, free_endpoint: str, tmp_path: Path
 ) -> None:
     assert stack_services()[-1] == "toy"

@@ -4,13 +4,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 import pytest
 import zenoh
 
 from schemas.base import Message
-from schemas.codec import encoding_of
+from schemas.codec import decode, encoding_of
 from schemas.rpc import Nothing, Status
 from schemas.topics import Topic
 from services.kit.bus import Bus, RpcError
@@ -89,7 +91,7 @@ def introduce(client: Bus, service: str, *messages: Message) -> None:
 
 
 def send_as_stranger(bus: Bus, topic: Topic, payload: bytes, encoding: str = "zenoh/bytes") -> None:
-    """Send as a stranger does, who has another idea of what a topic carries, and keeps nothing."""
+    """Send bytes that the schema of the topic does not know, and keep none of them."""
     key = topic.key(bus.robot)
     # One who does not let Zenoh drop anything of it.
     wait = zenoh.CongestionControl.BLOCK
@@ -106,3 +108,25 @@ def malformed(client: Bus, service: str, topic: Topic) -> None:
             return status is not None and status.bad.get(topic.name, 0) == count
 
         eventually(counted)
+
+
+def health(address: str) -> str:
+    """Return the health that a service reports, empty while it does not listen."""
+    try:
+        with urlopen(f"http://{address}/healthz") as answer:
+            return str(answer.read().decode())
+    except HTTPError as error:
+        return str(error.read().decode())
+    except OSError:
+        return ""
+
+
+def collected(bus: Bus, topic: Topic) -> list[Any]:
+    """Subscribe to a topic; return the list to which its messages are appended."""
+    messages: list[Any] = []
+
+    def take(payload: bytes, encoding: str, _transit_s: float | None) -> None:
+        messages.append(decode(topic.message, payload, encoding))
+
+    bus.subscribe(topic, take)
+    return messages

@@ -1,4 +1,4 @@
-"""Boxes on flat ground, and what a depth camera measures of them, by rays; a robot that its atoms move exactly."""
+"""Boxes on flat ground, their depth images by ray casting, and a robot with exact motions."""
 
 import math
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ def depth(
     pitch_rad: float = 0.0,
     shape: tuple[int, int] = (60, 80),
 ) -> NDArray[np.float32]:
-    """Return what is measured from a pose by a camera that looks down by so much, (height, width), 0 for the sky."""
+    """Return the depth image (height, width) of a pitched camera at a pose, 0 for the sky."""
     rows, columns = shape
     focal_px = MOUNT.focal * columns
     across = (columns / 2 - 0.5 - np.arange(columns)) / focal_px
@@ -66,7 +66,7 @@ def moved(
 
 
 def touches(boxes: Sequence[Box], pose: Sequence[float]) -> bool:
-    """Tell whether a robot there touches a box."""
+    """Whether a robot at a pose touches a box."""
     away = (
         math.hypot(
             max(x_min - pose[0], 0.0, pose[0] - x_max), max(y_min - pose[1], 0.0, pose[1] - y_max)

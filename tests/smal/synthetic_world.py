@@ -147,7 +147,7 @@ def drive(
     rate_hz: float = 10.0,
     speed: float = 1.0,
 ) -> Drive:
-    """Drive straight or back and turn on the spot, by turns, at so many frames a second and times the usual speed."""
+    """Drive straight and turn on the spot, in turns, at a frame rate and a multiple of the usual speed."""
     x, y, heading = start
     poses = [(x, y, heading)]
     atoms = []
@@ -179,7 +179,7 @@ def from_beside(
 def driven(
     found: Filter, planner: Planner, room: Room, start: Sequence[float], frames: int
 ) -> Pose:
-    """Let the filter and the planner drive at 10 Hz until they say that they have arrived; return where that is."""
+    """Drive by the filter and the planner at 10 Hz until they arrive; return the last pose."""
     pose = np.array(start)
     movement = STILL
     for _ in range(frames):

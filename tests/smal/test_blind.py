@@ -1,4 +1,4 @@
-"""A robot whose camera shows nothing of the taught way notices within half a second of driving, and stands."""
+"""A robot whose camera fails notices within half a second of driving, and stands."""
 
 import math
 from collections.abc import Callable
@@ -97,7 +97,7 @@ def test_camera_is_not_frozen_when_the_robot_stands() -> None:
     assert turned[-1].camera == "frozen"
 
 
-def test_robot_looks_around_when_the_camera_sees_again_but_knows_no_view() -> None:
+def test_robot_looks_around_when_the_camera_sees_unknown_views() -> None:
     planner = Planner(STRAIGHT)
     ticks = round(PLANNER_CONFIG.look_rad / STRAIGHT.turn_rad)
     assert {planner.decide(SPLIT).kind for _ in range(ticks)} == {"look_around"}

@@ -63,7 +63,6 @@ def test_a_lap_that_is_all_one_bend_is_a_circle(odometry: bool) -> None:
 
 @pytest.mark.parametrize("odometry", [True, False])
 def test_another_lap_is_recognized_and_driven_by_the_same_bend(odometry: bool) -> None:
-    """Begun 10 cm outside and turned a little; without odometry the filter goes by what it was told to do."""
     found, centering = learned(odometry)
     follower = Filter(found, centering)
     planner = Planner(found)
@@ -90,7 +89,7 @@ def test_another_lap_is_recognized_and_driven_by_the_same_bend(odometry: bool) -
     assert sum(angular > 0.5 for _, angular in made) > 0.9 * len(made)
 
 
-def test_who_turned_all_the_time_went_ahead_in_it_unless_the_wheels_say_that_they_did_not() -> None:
+def test_turning_implies_moving_unless_the_wheels_deny_it() -> None:
     found, _ = taught(ROOM, lap(), odometry=False, scene=SCENE)
     assert found.movements[Atom.LEFT, 0] == 1.0
     one = lap()

@@ -37,12 +37,6 @@ def test_work_returns_its_result_when_it_prints() -> None:
     assert does("echo", {"a": ["ü", 1.5, None]}) == {"a": ["ü", 1.5, None]}
 
 
-def test_work_ends_when_it_takes_too_much_time() -> None:
-    said = failure("loop")
-    assert "takes more than 2 s of processor time" in said
-    assert "SMAL_LIMITS=2 doubles the limit" in said
-
-
 def test_step_ends_when_it_takes_too_much_time() -> None:
     assert "reading an image of it takes more than 1 s of processor time" in failure(
         "loop_in_a_step", 1.0
@@ -51,7 +45,7 @@ def test_step_ends_when_it_takes_too_much_time() -> None:
 
 def test_work_goes_on_when_it_reports_progress() -> None:
     seen: list[float] = []
-    assert does("go_on", 5.0, progress=seen.append) >= 5.0
+    assert does("go_on", 3.0, progress=seen.append) >= 3.0
     assert len(seen) > 10
 
 
@@ -75,7 +69,9 @@ def test_refusal_of_the_work_is_raised_when_it_refuses() -> None:
 
 def test_limits_grow_when_the_user_raises_them(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SMAL_LIMITS", "1.5")
-    assert "takes more than 3 s of processor time" in failure("loop")
+    said = failure("loop")
+    assert "takes more than 3 s of processor time" in said
+    assert "SMAL_LIMITS=3 doubles the limit" in said
     monkeypatch.setenv("SMAL_LIMITS", "much")
     with pytest.raises(ConfinedError, match="SMAL_LIMITS=much: must be a number from 1 to 1000000"):
         does("echo")
@@ -105,7 +101,6 @@ def test_child_ends_when_its_parent_is_ended(number: signal.Signals) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     ) as parent:
-        assert parent.stdout is not None
         child = int(parent.stdout.readline())
         parent.send_signal(number)
         parent.wait()

@@ -26,7 +26,7 @@ def nearness(millimetres: int) -> float:
 
 
 @given(seed=st.integers(0, 99))
-def test_each_cell_is_the_nearness_of_what_is_there(seed: int) -> None:
+def test_cell_is_the_nearness_of_its_pixels(seed: int) -> None:
     depth = scene(seed)
     expected = np.array([nearness(one) for one in depth.ravel().tolist()])
     np.testing.assert_allclose(
@@ -54,6 +54,6 @@ def test_depth_is_not_looked_at_where_it_is_not_wanted() -> None:
     picture = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
     wrong = np.zeros(3, dtype=np.float32)
     np.testing.assert_array_equal(
-        extract(picture, FeatureSettings(), wrong),  # type: ignore[arg-type]
+        extract(picture, FeatureSettings(), wrong),
         extract(picture, FeatureSettings()),
     )

@@ -35,7 +35,6 @@ def test_any_size_gives_unit_modalities(rows: int, columns: int, seed: int) -> N
 
 
 def test_sizes_are_known_without_opencv() -> None:
-    """The container of recognition has none."""
     code = "import sys; sys.modules['cv2'] = None; from smal.features import FeatureSettings; FeatureSettings().size"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=DEADLINE_S)
 
@@ -87,8 +86,3 @@ def test_centering_normalizes_each_modality_alike() -> None:
     np.testing.assert_array_equal(
         Centering.fit(list(raw[:, None]), BOTH).mean, Centering.fit(raw, BOTH).mean
     )
-
-
-def test_settings_are_read_from_names() -> None:
-    assert FeatureSettings.parse("color,hog") == BOTH
-    assert FeatureSettings.parse(" hog , depth") == FeatureSettings(("hog", "depth"))

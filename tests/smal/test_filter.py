@@ -137,7 +137,6 @@ def test_noise_of_the_camera_is_no_new_view() -> None:
 
 @pytest.mark.parametrize("to", [40, 110])
 def test_a_robot_that_is_carried_with_still_wheels_notices(to: int) -> None:
-    """Carried on for two seconds at a walk, it no longer believes to be where it was taken away."""
     one = drive()
     found = Filter(*usual_map())
     follow(Drive(one.poses[:20], one.atoms[:20]), found)
@@ -179,7 +178,6 @@ def test_the_likelihood_does_not_jump_between_the_virtual_views(
 @pytest.mark.parametrize("moves", [True, False])
 @pytest.mark.parametrize(("contrast", "frames"), [(0.0, 10), (3.0, 10), (70.0, 3)])
 def test_hidden_frames_do_not_move_the_belief(moves: bool, contrast: float, frames: int) -> None:
-    """Grey hides half a metre, most of a correlation length, or noise a few frames: it goes on by the wheels."""
     seen = drive(way=((2.2, 0.0),))
     found = Filter(*usual_map())
     follow(Drive(seen.poses[:20], seen.atoms[:20]), found)
@@ -192,20 +190,6 @@ def test_hidden_frames_do_not_move_the_belief(moves: bool, contrast: float, fram
         assert metres < 0.5 * usual_map()[0].correlation_length
         assert degrees < 5.0
         assert belief.lost < 0.5
-
-
-@pytest.mark.parametrize("shade", [128, 0, None])
-def test_a_camera_that_shows_nothing_or_stands_still_makes_it_lost(shade: int | None) -> None:
-    """Grey, black, or the same picture for ever: after four correlation lengths the wheels alone are not believed."""
-    seen = drive(way=((1.0 + 4.0 * usual_map()[0].correlation_length, 0.0),))
-    found = Filter(*usual_map())
-    follow(Drive(seen.poses[:20], seen.atoms[:20]), found)
-    last = ROOM.look(seen.poses[19])
-    frozen = last if shade is None else np.full_like(last, shade)
-    movements = [STILL, *seen.movements()]
-    lost = [found.observe(extract(frozen, COLOR), movement).lost for movement in movements[20:]]
-    assert lost[2] < 0.2
-    assert lost[-1] > 0.5
 
 
 def test_a_blank_first_view_does_not_count() -> None:
@@ -272,8 +256,7 @@ def test_a_robot_that_drives_away_from_the_way_is_lost(turn_deg: float) -> None:
     assert follow(drive(way=((1.0, 0.0), (0.0, turn_deg), (away, 0.0))))[-1].lost > 0.95
 
 
-def test_in_another_room_it_is_lost_and_back_from_there_it_is_not() -> None:
-    """Rooms may look alike by chance: lost in most of them."""
+def test_robot_is_lost_in_another_room_and_found_again() -> None:
     rooms = [elsewhere(seed) for seed in range(1, 4)]
     assert max(lost[0] for lost, _ in rooms) < 0.2
     assert float(np.median([lost[-1] for lost, _ in rooms])) > 0.5
@@ -321,7 +304,7 @@ def test_a_belief_is_made_of_probabilities(
     ],
 )
 @pytest.mark.parametrize("first", [True, False])
-def test_what_is_no_frame_is_refused_and_changes_nothing(
+def test_invalid_frame_is_refused_and_changes_nothing(
     raw: Any, movement: Movement, first: bool
 ) -> None:
     seen = drive(way=((0.2, 0.0),))
@@ -337,7 +320,7 @@ def test_what_is_no_frame_is_refused_and_changes_nothing(
 
 
 @pytest.mark.parametrize("to", [72, 115])
-def test_of_a_long_way_the_place_is_found_among_a_few(to: int) -> None:
+def test_place_is_found_when_few_candidates_are_compared(to: int) -> None:
     visual_map, centering = usual_map()
     few = replace(visual_map, config=replace(visual_map.config, looked_at=20))
     found = Filter(few, centering)

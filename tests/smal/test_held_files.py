@@ -1,4 +1,4 @@
-"""A loaded model keeps its content, whatever happens to its file."""
+"""A loaded model keeps its content when its file changes."""
 
 import os
 import subprocess
@@ -50,7 +50,7 @@ def test_process_survives_when_its_model_is_truncated(path: Path) -> None:
     assert float(done.stdout) == NUMBERS.sum()
 
 
-def test_altered_file_is_refused_when_another_holds_the_sound_one(path: Path) -> None:
+def test_altered_file_is_refused_when_a_sound_copy_is_loaded(path: Path) -> None:
     loaded = numbers(path)
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1

@@ -1,4 +1,4 @@
-"""What a view says of a place: calibrated, monotone, and the same whatever dims all views alike."""
+"""The likelihood of a place: calibrated, monotone, and independent of dimming."""
 
 import numpy as np
 import pytest
@@ -75,7 +75,7 @@ def test_of_few_views_elsewhere_little_is_concluded() -> None:
 
 @settings(deadline=None)
 @given(scale=st.floats(0.01, 10.0), shift=st.floats(-1.0, 1.0), seed=st.integers(0, 2**16))
-def test_what_dims_all_views_alike_changes_nothing(scale: float, shift: float, seed: int) -> None:
+def test_dimming_all_views_changes_nothing(scale: float, shift: float, seed: int) -> None:
     cosines, sample = np.random.default_rng(seed).uniform(-1.0, 1.0, (2, 40))
     usual = standing_out(cosines, sample)
     np.testing.assert_allclose(

@@ -43,7 +43,7 @@ def saved(model: PaperModel, tmp_path: Path) -> Path:
 def assert_same(one: object, other: object) -> None:
     if isinstance(one, np.ndarray):
         np.testing.assert_array_equal(one, other)
-        assert one.dtype == other.dtype  # type: ignore[attr-defined]
+        assert one.dtype == other.dtype
     elif isinstance(one, tuple):
         assert isinstance(other, tuple)
         assert len(one) == len(other)
@@ -123,9 +123,7 @@ def test_every_alteration_is_refused(saved: Path) -> None:
         content[at] ^= 1
 
 
-def test_what_a_file_says_of_itself_is_read_without_the_rest(
-    model: PaperModel, saved: Path
-) -> None:
+def test_header_of_a_file_is_read_alone(model: PaperModel, saved: Path) -> None:
     content = saved.read_bytes()
     path = saved.with_name("part.smal")
     end = 20 + struct.unpack_from("<Q", content, 12)[0]
@@ -182,7 +180,7 @@ def test_a_link_stays_one(tmp_path: Path) -> None:
     assert [path.name for path in target.parent.iterdir()] == ["target"]
 
 
-def test_what_would_be_too_large_to_read_is_not_written(
+def test_oversized_model_is_not_written(
     model: PaperModel, saved: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = saved.read_bytes()

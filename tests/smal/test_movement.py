@@ -81,10 +81,9 @@ def test_the_table_that_made_a_noisy_drive_is_found() -> None:
         (Atom.FORWARD, Atom.BACKWARD, (-1.0, -1.0)),
     ],
 )  # fmt: skip
-def test_an_atom_that_was_never_made_is_the_opposite_of_its_opposite(
+def test_missing_atom_is_the_opposite_of_its_opposite(
     made: Atom, missing: Atom, sign: tuple[float, float]
 ) -> None:
-    """Of a turn that is the one in a mirror: who goes ahead in one goes ahead in the other."""
     atoms = np.full(20, made, dtype=np.int8)
     found = atom_movements([dead_reckoning(atoms, TABLE)], [atoms])
     np.testing.assert_allclose(found[made], TABLE[made], atol=1e-9)
@@ -92,7 +91,7 @@ def test_an_atom_that_was_never_made_is_the_opposite_of_its_opposite(
     assert not found[Atom.STOP].any()
 
 
-def test_bends_of_a_robot_that_turns_on_the_spot_make_no_car_of_it() -> None:
+def test_bends_do_not_make_a_turning_robot_a_car() -> None:
     spot = np.array([(0.0, 0.0), (0.2, 0.0), (-0.2, 0.0), (0.0, 0.08), (0.0, -0.08)])
     bends = spot + np.array([(0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.2, -0.03), (0.2, 0.03)])
     atoms = np.repeat(list(Atom), 20).astype(np.int8)
@@ -104,7 +103,6 @@ def test_bends_of_a_robot_that_turns_on_the_spot_make_no_car_of_it() -> None:
 
 
 def test_a_robot_that_still_rolls_ahead_in_short_turns_is_no_car() -> None:
-    """As where somebody corrects at full speed: of what it rolls 0.6 is left after each frame of a turn."""
     atoms = np.tile(
         np.repeat([Atom.FORWARD, Atom.LEFT, Atom.FORWARD, Atom.RIGHT], [20, 3, 20, 1]), 5
     ).astype(np.int8)

@@ -1,4 +1,4 @@
-"""Networks as modalities: what is calculated, what names it, and the files that are refused."""
+"""Networks as modalities: values, names, and files that are refused."""
 
 import os
 import pickle
@@ -180,7 +180,7 @@ def test_weights_in_another_file_are_refused(
 STRANGE = f"onnx:{'0123456789abcdef' * 4}:4"
 
 
-def test_a_network_that_nobody_gave_can_be_named_and_not_run() -> None:
+def test_unknown_network_can_be_named_but_not_run() -> None:
     named = FeatureSettings((STRANGE,))
     assert (named.size, named.needs) == (4, {"color"})
     line = f"the network {STRANGE} is run only where its file is given, as onnx:FILE"
@@ -207,7 +207,6 @@ def test_a_network_that_nobody_gave_can_be_named_and_not_run() -> None:
     ],
 )
 def test_no_other_name_is_one(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not even that of a file which is there."""
     monkeypatch.chdir(tmp_path)
     network(tmp_path / "FILE")
     with pytest.raises(
@@ -219,7 +218,6 @@ def test_no_other_name_is_one(name: str, tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_model_opens_no_file_and_runs_no_network(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A model that names a FIFO is refused at once; one that names a network by its contents is used without it."""
     text = network(tmp_path / "mix.onnx")
     path = tmp_path / "x.smal"
     seed = smallest_model()
@@ -255,7 +253,7 @@ def test_other_outputs_are_flattened_and_keep_their_order(tmp_path: Path) -> Non
     np.testing.assert_allclose(vector, expected / np.linalg.norm(expected), atol=1e-6)
 
 
-def test_without_onnxruntime_the_line_says_what_to_install(
+def test_missing_onnxruntime_names_the_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     name = network(tmp_path / "mix.onnx")

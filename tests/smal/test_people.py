@@ -1,4 +1,4 @@
-"""Taught by people: what they did wrong and mended is not repeated, and how long they took does not matter."""
+"""Teaching by people: corrected mistakes are not repeated, and pauses do not matter."""
 
 import itertools
 import math
@@ -59,7 +59,7 @@ def test_no_view_is_left_and_come_back_to_and_there_are_no_gaps(
         assert same[: back.max(initial=-1) + 1].all()
 
 
-def test_who_goes_round_a_post_teaches_to_go_round_it() -> None:
+def test_detour_round_a_post_is_kept() -> None:
     turn = [Atom.LEFT] * 10
     ahead = [Atom.FORWARD] * 4
     atoms = [*ahead, *turn, *ahead, *[Atom.RIGHT] * 20, *ahead, *turn, *ahead, Atom.STOP]
@@ -68,7 +68,7 @@ def test_who_goes_round_a_post_teaches_to_go_round_it() -> None:
     assert poses[on, 1].max() == pytest.approx(poses[:, 1].max())
 
 
-def test_who_pauses_teaches_no_longer_way() -> None:
+def test_pause_teaches_no_longer_way() -> None:
     usual = drive(START, ((2.5, 0.0),))
     stands = Drive(
         np.insert(usual.poses, 20, usual.poses[[20] * 100], axis=0),

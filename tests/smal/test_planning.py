@@ -1,4 +1,4 @@
-"""What the planner does with a belief: along the way, towards it, at its end, and when the belief is too wide."""
+"""Decisions of the planner: on the way, beside it, at its end, and when the belief is too wide."""
 
 import itertools
 import math
@@ -129,7 +129,7 @@ def test_at_the_end_it_stops_for_good() -> None:
 END = belief((len(STRAIGHT.keyframes) - 1, 0.0, 0.0, 0.0))
 
 
-def test_arrived_it_says_found_only_if_it_sees_what_it_was_sent_to_find() -> None:
+def test_goal_is_found_only_when_the_target_is_seen() -> None:
     planner = Planner(STRAIGHT)
     decision = planner.decide(END, seen=Glimpse(0.5, near=0.0))
     assert (decision.kind, planner.arrived, planner.said) == ("search", True, None)
@@ -138,7 +138,7 @@ def test_arrived_it_says_found_only_if_it_sees_what_it_was_sent_to_find() -> Non
     assert planner.said == "found"
 
 
-def test_what_it_sees_in_looking_around_may_look_like_another_place() -> None:
+def test_search_is_not_confused_by_similar_places() -> None:
     planner = Planner(STRAIGHT)
     planner.decide(END, seen=Glimpse(0.0, near=0.0))
     kinds = [
@@ -149,7 +149,7 @@ def test_what_it_sees_in_looking_around_may_look_like_another_place() -> None:
     assert planner.said == "not_here"
 
 
-def test_arrived_it_goes_up_to_what_it_sees_further_away() -> None:
+def test_robot_approaches_a_distant_target() -> None:
     planner = Planner(STRAIGHT)
     atoms = [
         key(planner.decide(END, seen=Glimpse(0.99, 0.5, left)))
@@ -161,7 +161,7 @@ def test_arrived_it_goes_up_to_what_it_sees_further_away() -> None:
     assert planner.said == "found"
 
 
-def test_it_does_not_go_far_for_what_never_comes_near() -> None:
+def test_robot_gives_up_a_target_that_stays_far() -> None:
     planner = Planner(STRAIGHT)
     made = Counter[Atom]()
     while planner.said is None:
@@ -190,7 +190,7 @@ def test_having_looked_all_around_it_says_that_it_is_not_here() -> None:
     ("share", "lost", "tracked"),
     [(1.0, 0.0, 0.1), (1.0, 0.0, 0.25), (1.0, 0.2, 3.0), (0.8, 0.0, 3.0)],
 )
-def test_it_does_not_say_that_it_has_arrived_where_it_is_not_sure(
+def test_goal_is_not_reported_when_the_belief_is_unsure(
     share: float, lost: float, tracked: float
 ) -> None:
     places = ((len(STRAIGHT.keyframes) - 1, 0.0, 0.0, 0.0), (10, 0.0, 0.0, 0.0))
@@ -202,7 +202,7 @@ def test_it_does_not_say_that_it_has_arrived_where_it_is_not_sure(
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.6])
-def test_it_looks_around_where_it_knows_no_direction_then_guesses_and_looks_again(
+def test_unsure_robot_looks_around_then_guesses(
     lost: float,
 ) -> None:
     planner = Planner(STRAIGHT)
@@ -241,7 +241,7 @@ RIGHT = (0.0, -1.0)
 AHEAD = (1.0, 0.0)
 
 
-def test_among_things_it_turns_until_a_smaller_turn_would_not_help() -> None:
+def test_stepwise_turn_ends_when_a_smaller_one_would_not_help() -> None:
     assert steps([4.0, 8.0, 4.0, 2.0]) == [AHEAD, LEFT, LEFT, AHEAD]
     assert steps([-4.0, -8.0, -4.0, -2.0]) == [AHEAD, RIGHT, RIGHT, AHEAD]
 
@@ -251,7 +251,7 @@ def test_at_a_low_rate_it_does_not_turn_to_and_fro() -> None:
     assert steps([6.0, -5.25, 5.25], 0.25) == [LEFT, AHEAD, AHEAD]
 
 
-def test_before_the_end_it_goes_up_to_what_it_sees_beside_the_way_and_then_goes_on() -> None:
+def test_robot_approaches_a_target_beside_the_way_and_goes_on() -> None:
     planner = Planner(STRAIGHT)
     before = belief((len(STRAIGHT.keyframes) - 3, 0.0, 0.0, 0.0))
     atoms = [key(planner.decide(before, seen=Glimpse(0.99, 0.9, left))) for left in (0.4, 0.0)]
@@ -263,14 +263,13 @@ def test_before_the_end_it_goes_up_to_what_it_sees_beside_the_way_and_then_goes_
     assert planner.said == "found"
 
 
-def test_it_drives_up_to_nothing_that_it_does_not_see() -> None:
+def test_robot_does_not_approach_an_unlocated_target() -> None:
     planner = Planner(STRAIGHT)
     atoms = {key(planner.decide(END, seen=Glimpse(0.99, 0.5, None))) for _ in range(20)}
     assert atoms == {Atom.LEFT}
 
 
-def test_where_nothing_leads_on_after_it_has_looked_it_says_so() -> None:
-    """Carried to a way that leads nowhere, just before it has looked all round."""
+def test_robot_reports_not_here_when_no_way_leads_on() -> None:
     planner = Planner(map_of(5.0, 5.0, goals=("victim", "elsewhere")), "victim")
     end = belief((50, 0.0, 0.0, 0.0))
     other = belief((70, 0.0, 0.0, 0.0))
@@ -281,7 +280,6 @@ def test_where_nothing_leads_on_after_it_has_looked_it_says_so() -> None:
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_turn_that_is_still_under_way_is_reckoned_with(side: float) -> None:
-    """Until its decision moves the robot it goes on turning: without that it would turn too far, and back again."""
     turns = []
     for delay_s in (0.0, 0.1, 0.3):
         planner = Planner(STRAIGHT)
@@ -293,8 +291,7 @@ def test_a_turn_that_is_still_under_way_is_reckoned_with(side: float) -> None:
 
 
 @pytest.mark.parametrize("car", [False, True])
-def test_who_can_be_told_velocities_comes_back_to_the_way_without_a_stop(car: bool) -> None:
-    """A car turns no more sharply than it can, and goes ahead in turning; the other turns where it looks back."""
+def test_robot_returns_to_the_way_without_a_stop(car: bool) -> None:
     table = STRAIGHT.movements.copy()
     table[[Atom.LEFT, Atom.RIGHT], 0] = 0.05 if car else 0.0
     planner = Planner(replace(STRAIGHT, movements=table))
@@ -320,7 +317,7 @@ def test_who_can_be_told_velocities_comes_back_to_the_way_without_a_stop(car: bo
 
 
 @pytest.mark.parametrize("ahead", [0.0, -0.3, -0.6])
-def test_behind_the_start_of_a_second_drive_it_goes_to_that_start(ahead: float) -> None:
+def test_robot_goes_to_the_start_when_it_is_behind_it(ahead: float) -> None:
     two = map_of(2.0, 3.0)
     first = int(np.flatnonzero(two.drives[two.keyframes] == 1)[0])
     decision = Planner(two).decide(belief((first, ahead, 0.0, 0.0)))
@@ -387,7 +384,7 @@ def meetings(draw: st.DrawFn) -> Stitches:
 
 @settings(deadline=None)
 @given(meetings())
-def test_every_step_is_nearer_to_the_goal_so_that_nobody_goes_in_circles(
+def test_every_step_is_nearer_to_the_goal(
     stitches: Stitches,
 ) -> None:
     three = map_of(*LENGTHS_M, goals=("victim", "victim", "elsewhere"), stitches=stitches)
@@ -396,23 +393,6 @@ def test_every_step_is_nearer_to_the_goal_so_that_nobody_goes_in_circles(
     assert (cost[following[on_way]] < cost[on_way]).all()
     assert np.isin(np.flatnonzero(np.isfinite(cost) & (following < 0)), ENDS[1:3] - 1).all()
     Planner(three, "victim")
-
-
-def test_three_drives_that_share_a_place_and_are_each_best_left_for_the_next_do_not_lead_in_circles() -> (
-    None
-):
-    """From the place the first soon meets the second far along it, and that the third; the third is long."""
-    lengths_m = (1.0, 4.0, 6.0)
-    one, two, three = (int(first) for first in np.cumsum([0, 11, 41]))
-    meet = [
-        *itertools.combinations((one, two, three), 2),
-        (one + 2, two + 20),
-        (two + 21, three + 40),
-    ]
-    both_ways = sorted([*meet, *((other, this) for this, other in meet)])
-    stitches = tuple((pair, (0.0, 0.0, 0.0)) for pair in both_ways)
-    planner = Planner(map_of(*lengths_m, goals=("a", "b", "c"), stitches=stitches), "c")
-    assert planner.decide(belief((one, 0.0, 0.0, 0.0))).kind == "follow"
 
 
 @pytest.mark.parametrize(("goal", "end", "other_end"), [("kitchen", 40, 101), ("office", 101, 40)])
@@ -436,7 +416,7 @@ def test_a_goal_that_is_unknown_or_not_said(goal: str | None, end: int, said: st
     )
 
 
-def test_where_no_way_leads_to_the_goal_it_looks_round_and_then_stands() -> None:
+def test_robot_looks_round_then_stands_when_no_way_leads_on() -> None:
     planner = Planner(fork(), "office")
     kinds = [planner.decide(belief((30, 0.0, 0.0, 0.0))) for _ in range(300)]
     look = math.ceil(math.degrees(PLANNER_CONFIG.look_rad) / 4.5)
@@ -467,7 +447,7 @@ def test_time_counts_and_not_frames() -> None:
     assert at_10_hz.count("guess") == pytest.approx(at_20_hz.count("guess") / 2.0, abs=2)
 
 
-def test_robot_goes_up_to_what_it_sees_when_it_did_so_at_another_end() -> None:
+def test_robot_approaches_a_target_at_a_second_end() -> None:
     ways = (((50, 51), (0.0, 0.0, 0.0)), ((10, 61), (0.0, 0.0, 0.0)), ((61, 10), (0.0, 0.0, 0.0)))
     planner = Planner(map_of(5.0, 9.0, stitches=ways))
     for _ in range(200):

@@ -49,11 +49,11 @@ def broken(value: float) -> np.ndarray:
 def solve(**change: object) -> object:
     X, Y = matching_problem(0, blocks=3, length=2)
     usual = {"templates": X, "query": Y, "sequence_length": 2, "lambda1": 0.1, "lambda2": 0.1}
-    return smal.solve(**usual | change)  # type: ignore[arg-type]
+    return smal.solve(**usual | change)
 
 
 def taught(**setting: object) -> object:
-    return LearningSettings(features=COLOR, **setting)  # type: ignore[arg-type]
+    return LearningSettings(features=COLOR, **setting)
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def taught(**setting: object) -> object:
     [
         (lambda: Camera(NAN), "focal length"),
         (lambda: Camera(0.0), "focal length"),
-        (lambda: Camera(0.5, "ftheta"), "ftheta"),  # type: ignore[arg-type]
+        (lambda: Camera(0.5, "ftheta"), "ftheta"),
         (lambda: Camera(0.5, distortion=(INF,)), "distortion"),
         (lambda: Camera(0.5, distortion=(0.0,) * 14), "distortion"),
         (
@@ -82,7 +82,7 @@ def taught(**setting: object) -> object:
         (lambda: extract(np.zeros((48, 64, 4), np.uint8), USUAL), "shape"),
         (lambda: extract(FRAME[:23], USUAL), "at least 24 rows"),
         (lambda: FeatureSettings(("smell",)), "unknown"),
-        (lambda: FeatureSettings((1,)), "unknown"),  # type: ignore[arg-type]
+        (lambda: FeatureSettings((1,)), "unknown"),
         (lambda: FeatureSettings(()), "no feature modality"),
         (lambda: FeatureSettings(("color", "color")), "twice"),
         (

@@ -1,4 +1,4 @@
-"""The method in four lines: images in, atoms out, and where the robot is."""
+"""The method in four lines: images in, atoms and the position out."""
 
 import math
 import subprocess
@@ -61,7 +61,7 @@ def test_it_says_where_it_is() -> None:
     assert abs(robot.where.left) < 0.4
 
 
-def test_the_robot_of_the_paper_takes_the_same_and_reaches_the_end_too() -> None:
+def test_paper_robot_reaches_the_end_too() -> None:
     robot = PaperRobot(paper_model(), stride=1)
     made = [robot.step(view(*pose(frame)), pose(frame)) for frame in range(FRAMES)]
     assert made[LENGTH - 1 : -LENGTH] == [Atom.FORWARD] * (FRAMES - 2 * LENGTH + 1)
@@ -75,7 +75,7 @@ def test_a_model_of_the_other_scheme_is_refused_in_one_line(tmp_path: Path) -> N
     assert "\n" not in str(refused.value)
 
 
-def test_the_map_names_its_drives_also_where_another_one_is_as_long(tmp_path: Path) -> None:
+def test_map_names_its_drives(tmp_path: Path) -> None:
     images = [view(*pose(frame)) for frame in range(FRAMES)]
     atoms = np.array([Atom.FORWARD] * (FRAMES - 1) + [Atom.STOP], dtype=np.int8)
     unseen = Demonstration(
@@ -100,7 +100,7 @@ def test_a_frame_that_is_refused_does_not_move_the_robot() -> None:
     assert both[0] == both[1] == pytest.approx(0.2, rel=0.05)
 
 
-def test_where_odometry_comes_with_every_second_frame_atoms_fill_the_gaps() -> None:
+def test_atoms_fill_gaps_in_the_odometry() -> None:
     localizer = Localizer(model())
     for frame in range(9):
         place = pose(frame)
@@ -109,8 +109,7 @@ def test_where_odometry_comes_with_every_second_frame_atoms_fill_the_gaps() -> N
     assert belief.tracked == pytest.approx(8 * STEP_M, rel=0.1)
 
 
-def test_who_only_follows_features_needs_no_opencv(tmp_path: Path) -> None:
-    """The processes of recognition and of the policy have none: their image is smaller for it."""
+def test_following_features_needs_no_opencv(tmp_path: Path) -> None:
     model().save(tmp_path / "way.smal")
     np.save(tmp_path / "seen.npy", extract(view(*pose(0)), FEATURES))
     code = (

@@ -110,7 +110,7 @@ def running(
             one.process.wait()
 
 
-def test_the_pods_become_ready_the_robot_finds_its_victim_without_the_first_router_and_all_end_by_sigterm(
+def test_pods_find_the_victim_without_the_first_router(
     near: Path, taught: Path, tmp_path: Path
 ) -> None:
     objects = built(ROOT / "deploy" / "kubernetes" / "overlays" / "one-node")

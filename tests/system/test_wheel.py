@@ -1,4 +1,4 @@
-"""The project as a wheel has all that it needs: it is built, unpacked somewhere else, and run."""
+"""The wheel is complete: build it, unpack it elsewhere, and run it."""
 
 import os
 import shutil
@@ -48,7 +48,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built
 
 
-def test_the_wheel_has_every_file_of_the_packages_and_the_command(wheel: Path) -> None:
+def test_wheel_has_every_file_of_the_packages(wheel: Path) -> None:
     within = set(zipfile.ZipFile(wheel).namelist())
     of_checkout = (path for name in PACKAGES for path in (ROOT / name).rglob("*") if path.is_file())
     # Pages are read in the checkout.

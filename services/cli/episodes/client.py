@@ -18,7 +18,7 @@ from schemas.camera import CompressedImage
 from schemas.command import CommandApplied
 from schemas.episode import Episode, Outcome, Said
 from schemas.heartbeat import Heartbeat
-from schemas.motion import Pose
+from schemas.motion import TruePose
 from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, Status
 from services.cli.stack import Access
 from services.experiments.progress import bar_of
@@ -78,10 +78,12 @@ class EpisodeClient:
         self.node.subscribe(topics.ACTION, self._on_action, depth=256)
         self.node.every(BEAT_S, self._beat)
 
-    def watch_poses(self, handler: Callable[[Pose], Message | None] = lambda _pose: None) -> None:
+    def watch_poses(
+        self, handler: Callable[[TruePose], Message | None] = lambda _pose: None
+    ) -> None:
         """Keep the true poses; ``handler`` sees each as well, and may answer."""
 
-        def on_pose(pose: Pose) -> Message | None:
+        def on_pose(pose: TruePose) -> Message | None:
             if record := self._of(pose):
                 record.poses[pose.tick] = (pose.x_m, pose.y_m)
             return handler(pose)

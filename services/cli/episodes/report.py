@@ -12,11 +12,12 @@ from schemas.episode import in_words
 from services.cli.episodes.client import EpisodeRecord
 from services.experiments import html
 from services.experiments.drawing import legend, look_at
-from services.experiments.words import condition, counted
+from services.experiments.words import condition
 from services.robot.clock import TICK_S
 from services.simulator.world import known_worlds, load_world
 from services.simulator.world.map_view import draw_map
 from smal.files.stored import Stored
+from smal.likelihood import evenly
 
 THING_COLOUR: Final = "#d6602d"
 STRIP: Final = 6  # Camera images shown of the example run.
@@ -36,39 +37,33 @@ def write_report(
     """Write ``index.html`` into a folder and return its path."""
     shown = next((record for record in records if record.outcome == "found"), records[0])
     ticks = sorted(shown.frames)
-    some = [ticks[k] for k in np.linspace(0, len(ticks) - 1, min(STRIP, len(ticks))).astype(int)]
     low, high = summary["wilson_95"]
-    latencies_ms = summary["decision_latency_ms"].items()
-    latency = {name: "none taken" if ms is None else f"{ms:.0f} ms" for name, ms in latencies_ms}
-    routes = "<p>The robot does not tell where it truly is.</p>"
-    if any(record.poses for record in records):
-        routes = html.image(html.png(draw_routes(world, records)), "routes on the map")
-    rows = [
-        [in_words(one.outcome, one.right), str(one.request.seed), str(one.ticks), f"{TICK_S * one.ticks:.0f}",
-         str(len(one.decisions)), str(len(one.unrecognized))]
-        for one in records
-    ]  # fmt: skip
-    facts = {
-        "victim found": f"{sum(record.outcome == 'found' for record in records)} of {len(records)}",
-        "95 % interval": f"{low:.0%} to {high:.0%}",
-        "scheme": model.scheme,
-        "conditions": condition(records[0].request),
-        "decision, median": latency["p50"],
-        "decision, 95 %": latency["p95"],
+    latency = {
+        name: "not measured" if ms is None else f"{ms:.0f} ms"
+        for name, ms in summary["decision_latency_ms"].items()
     }
-    parts = [
-        html.tiles(facts),
-        "<h2>Where the robot went</h2>",
-        routes,
-        f"<h2>What it saw on the run with seed {shown.request.seed}</h2>",
-        html.strip({f"frame {tick}": shown.frames[tick] for tick in some}),
-        "<h2>Every run</h2>",
-        html.table(
-            ["outcome", "seed", "frames", "seconds", "decisions", "state unknown"], rows, left=1
-        ),
-    ]
-    title = f"SMAL: {world or records[0].world}, {counted(len(records), 'run')}"
-    return html.write_page(folder, title, parts, 60)
+    has_poses = any(record.poses for record in records)
+    return html.write_page(
+        folder,
+        "run.html",
+        world=world or records[0].world,
+        facts={
+            "victim found": f"{sum(one.outcome == 'found' for one in records)} of {len(records)}",
+            "95 % interval": f"{low:.0%} to {high:.0%}",
+            "scheme": model.scheme,
+            "conditions": condition(vars(records[0].request)),
+            "decision, median": latency["p50"],
+            "decision, 95 %": latency["p95"],
+        },
+        routes=html.png(draw_routes(world, records)) if has_poses else None,
+        shown=shown,
+        photos={
+            f"frame {ticks[k]}": shown.frames[ticks[k]] for k in evenly(len(ticks), STRIP).tolist()
+        },
+        records=records,
+        in_words=in_words,
+        tick_s=TICK_S,
+    )
 
 
 def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:

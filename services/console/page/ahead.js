@@ -1,11 +1,11 @@
-// Where the robot goes and what stands there: metres ahead of it and to its left, and in its level camera's picture.
+// Predicted course and obstacles, in metres ahead and to the left, and as overlay of the level camera's image.
 
 import { color } from "./element.js";
 import { percent } from "./words.js";
 
 const COURSE_S = 3, TURN_S = 1, STEPS = 24, NEAREST_M = 0.1, SURE = 0.5;
 
-/** The way of the robot in the next while: ahead, left, direction; of a turn on the spot, that of its view. */
+/** Course of the next seconds as [ahead, left, direction]; a turn on the spot sweeps the direction of view. */
 export function course({ robot, health }) {
   const told = health?.services.find(({ name }) => name === "robot")?.told ?? {};
   const { speed_m_s: speed, turn_rate_rad_s: rate } = told, { episode, linear, angular } = robot ?? {};
@@ -18,7 +18,7 @@ export function course({ robot, health }) {
   });
 }
 
-/** Draw over the camera picture; nothing where no depth camera tells how it sits. */
+/** Draw the overlay of the camera image; requires the mounting of a depth camera. */
 export function drawAhead(pen, { around, belief, model, ...state }, age) {
   const { width, height } = pen.canvas, { mounting, columns, apart } = (age("around") < 1 && around) || {};
   if (mounting) {

@@ -1,11 +1,11 @@
-// Where the robot thinks it is: the belief over the taught frames, and the taught image that it matches.
+// The robot's belief over the taught frames, and the best matching taught image.
 
 import { $, cleared, color, element, say } from "./element.js";
 import { beliefFacts, planFacts } from "./words.js";
 
 const BAR_PX = 4, HEIGHT = 64, LEAST = 0.01;
 const section = $("#belief"), strip = $("#belief .strip"), image = $("#belief img"), list = $("#belief dl");
-// A model that was made without recordings has none.
+// Models without recordings have no images.
 image.onload = image.onerror = ({ type }) => image.classList.toggle("none", type === "error");
 
 export function drawBelief({ model, belief, plan }, age) {
@@ -31,7 +31,7 @@ export function drawBelief({ model, belief, plan }, age) {
   say($("#belief figcaption"), `The view matches this taught image, ${where}; ${alike}.`);
 }
 
-/** One track a drive, as long as its way; a bar is the belief on that stretch. */
+/** Draw a track for each drive, proportional to its length; a bar is the belief on a stretch. */
 function drawStrip({ drives, along }, belief) {
   const [pen, width] = cleared(strip, HEIGHT);
   const room = HEIGHT / (Math.max(...drives) + 1), longest = Math.max(...along, 1e-9);

@@ -1,16 +1,16 @@
-// The box that a person may draw about what they found, in the camera's picture, before they say so.
+// The box that an operator can draw around the goal in the camera image before pressing Found.
 
 import { color } from "./element.js";
 
-const LEAST = 0.05;  // Of the picture's width and height, as the console takes it.
+const LEAST = 0.05;  // Of the image's width and height; smaller boxes are invalid.
 
 export class Box {
   constructor(canvas) {
-    this.drawn = null;  // left, top, right, bottom: shares of the picture's width and height
+    this.drawn = null;  // left, top, right, bottom: fractions of the image's width and height
     let from = null;
     const at = ({ offsetX, offsetY }) => {
       const { width, height, clientWidth, clientHeight } = canvas;
-      const scale = Math.min(clientWidth / width, clientHeight / height);  // it is shown whole, in the middle
+      const scale = Math.min(clientWidth / width, clientHeight / height);  // object-fit: contain, centred
       return [[offsetX, clientWidth, width], [offsetY, clientHeight, height]].map(
         ([off, shown, size]) => Math.max(0, Math.min((off - shown / 2) / (scale * size) + 0.5, 1)),
       );

@@ -1,21 +1,21 @@
-// Driving. The console sends a beat 20 times a second, and each is answered with what is held: no answer, no movement.
+// Driving. The console sends 20 beats a second; the page answers each with the held velocity, else the robot stops.
 
 const KEYS = {
   KeyW: "forward", KeyA: "left", KeyS: "backward", KeyD: "right",
   ArrowUp: "forward", ArrowLeft: "left", ArrowDown: "backward", ArrowRight: "right",
 };
-/** Linear and angular velocity: shares of the robot's own. */
+/** Linear and angular velocity, as fractions of the robot's nominal speeds. */
 const VELOCITIES = { forward: [1, 0], backward: [-1, 0], left: [0, 1], right: [0, -1] };
 const together = (atoms) => [0, 1].map((axis) => [...atoms].reduce((sum, atom) => sum + VELOCITIES[atom][axis], 0));
 const TAKEN = 4002;
-const DEAD_ZONE = 0.15, GAMEPAD_STOP = 1;  // A worn stick stands as far from its middle.
+const DEAD_ZONE = 0.15, GAMEPAD_STOP = 1;  // Rest position of a worn stick.
 const GAMEPAD_PAD = { 12: "forward", 13: "backward", 14: "left", 15: "right" };
 const TYPED_IN = "input:not([type=checkbox], [type=file]), select, textarea";
 
 export class Drive {
   constructor({ onChange, onRefused, onStop }) {
     this.sits = false;
-    this.word = "";  // shows that the seat is ours, to what is sent otherwise than by its socket
+    this.word = "";  // secret of the seat, for requests outside the socket
     this._held = new Set();
     this._beat = null;
     this._onChange = onChange;
@@ -23,20 +23,20 @@ export class Drive {
     this._onStop = onStop;
     addEventListener("keydown", (event) => this._key(event, true));
     addEventListener("keyup", (event) => this._key(event, false));
-    // While a menu is open or something is dragged, no page hears that a key is let go.
+    // Pages receive no key releases during a menu or a drag.
     for (const lost of ["blur", "pagehide", "contextmenu", "dragstart"]) {
       addEventListener(lost, (event) => event.defaultPrevented || this.letGo());
     }
     document.addEventListener("visibilitychange", () => this._visibility());
   }
 
-  /** The velocity that is asked for: of all keys that are held, or of a gamepad; null where nothing is held. */
+  /** Commanded velocity of the held keys, else of a gamepad; null without input. */
   get held() {
-    const pad = this._gamepad();  // looked at first, always: it may stop
+    const pad = this._gamepad();  // always read first, for its stop button
     return this._held.size ? together(this._held) : pad;
   }
 
-  /** Sit down; resolves to whether the seat was free. */
+  /** Take the seat; resolves to whether it was free. */
   take() {
     if (this.sits) return Promise.resolve(true);
     this._taking ??= new Promise((done) => {
@@ -50,15 +50,15 @@ export class Drive {
         this._answer();
       };
       socket.onclose = ({ code }) => {
-        const lost = this.sits ? "You lost the connection: the robot stands." : "";
-        this._onRefused(code === TAKEN ? "Somebody else drives; you watch." : lost);
+        const lost = this.sits ? "Connection lost: the robot stops." : "";
+        this._onRefused(code === TAKEN ? "Another person drives; you are watching." : lost);
         this._sit(false, done);
       };
     });
     return this._taking;
   }
 
-  /** Stand up in good order; the robot does not miss who did. */
+  /** Leave the seat; the robot does not miss its driver. */
   leave() {
     if (!this.sits) return;
     this.letGo();
@@ -72,7 +72,7 @@ export class Drive {
     if (await this.take()) this._send({ ...what, beat: this._beat });
   }
 
-  /** Whether an emergency stop could be sent. */
+  /** Send an emergency stop; returns whether it was sent. */
   stop() {
     this.letGo();
     if (this.sits) this._send({ do: "stop" });
@@ -99,7 +99,7 @@ export class Drive {
     this._taking = sits ? this._taking : null;
     this._held.clear();
     done(sits);
-    if (sits && document.hidden) this._visibility();  // it was hidden before the seat was ours
+    if (sits && document.hidden) this._visibility();  // hidden before the seat was taken
     this._onChange();
   }
 
@@ -114,7 +114,7 @@ export class Drive {
 
   _key(event, down) {
     if (event.code === "Escape") return down && !event.repeat && this._onStop();
-    if (event.metaKey || event.key === "Meta") return this.letGo();  // macOS tells of no other key's release then
+    if (event.metaKey || event.key === "Meta") return this.letGo();  // macOS sends no release of other keys then
     const atom = KEYS[event.code];
     const types = event.target instanceof Element && event.target.closest(TYPED_IN);
     if (!atom || (down && (types || event.ctrlKey || event.altKey))) return;
@@ -124,7 +124,7 @@ export class Drive {
     down ? this.press(atom) : this.release(atom);
   }
 
-  /** Nobody drives in a page that nobody sees. */
+  /** Leave the seat while the page is hidden. */
   async _visibility() {
     if (document.hidden) {
       this._back = this.sits;
@@ -137,7 +137,7 @@ export class Drive {
   _gamepad() {
     const pads = [...navigator.getGamepads()].filter((pad) => pad && pad.connected !== false);
     const stops = pads.some((pad) => pad.buttons[GAMEPAD_STOP]?.pressed), pressed = stops && !this._stops;
-    this._stops = stops;  // before it is told: who is told asks what is held
+    this._stops = stops;  // before the callback, which reads the held velocity
     if (pressed) this._onStop();
     if (stops || !document.hasFocus()) return null;
     for (const pad of pads) {

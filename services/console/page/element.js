@@ -1,8 +1,8 @@
-// Text goes into the page as text, never as markup.
+// Helpers for elements; text is never parsed as markup.
 
 export const $ = (selector) => document.querySelector(selector);
 
-/** Make an element; properties that are no property of it become attributes. */
+/** Create an element; unknown properties become attributes. */
 export function element(tag, properties = {}, ...children) {
   const made = document.createElement(tag);
   for (const [name, value] of Object.entries(properties)) {
@@ -13,12 +13,12 @@ export function element(tag, properties = {}, ...children) {
   return made;
 }
 
-/** Set a text only where it changes, so that screen readers are told of news alone. */
+/** Set a text only if it changes, so that screen readers announce changes only. */
 export function say(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
-/** A canvas as wide as its place, sharp on every screen; returns its context, in CSS pixels, cleared. */
+/** Fit a canvas to its container's width and pixel ratio; returns its cleared context (CSS pixels) and width. */
 export function cleared(canvas, height) {
   const ratio = devicePixelRatio, width = canvas.clientWidth;
   const [w, h] = [Math.round(width * ratio), Math.round(height * ratio)];

@@ -1,4 +1,4 @@
-// How every service is, in a table.
+// Table of the services' health.
 
 import { $, element, say } from "./element.js";
 import { seconds } from "./words.js";
@@ -18,7 +18,7 @@ export function drawHealth({ services }) {
     say(health, one.ailment ?? "works");
     say(idle, one.idle === undefined ? "–" : `${seconds(one.idle)} ago`);
     say(sends, Object.entries(one.rates ?? {}).map(([topic, rate]) => `${topic} ${rate} Hz`).join(", ") || "–");
-    say(lost, one.idle === undefined ? "–" : losses(one) || "nothing");
+    say(lost, one.idle === undefined ? "–" : losses(one) || "0");
   });
 }
 

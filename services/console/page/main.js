@@ -1,4 +1,4 @@
-// The page: what is heard is drawn, what is pressed is said.
+// The page: draws updates, and sends commands.
 
 import { drawAhead } from "./ahead.js";
 import { drawBelief } from "./belief.js";
@@ -19,7 +19,7 @@ const box = new Box(camera);
 const drive = new Drive({ onChange: drawSeat, onRefused: tell, onStop: stop });
 const since = (ms) => seconds((performance.now() - ms) / 1000);
 
-// -- what is heard ---------------------------------------------------------------------------------------------------
+// -- updates -----------------------------------------------------------------------------------------------
 
 const draws = {
   library: drawLibrary, job: drawJob, news: drawNews, taken: drawSeat,
@@ -55,7 +55,7 @@ async function onPicture(blob) {
 }
 
 function status() {
-  if (!watch.connected) return ["bad", `No connection to the console for ${since(watch.sinceMs)}`];
+  if (!watch.connected) return ["bad", `Not connected to the console for ${since(watch.sinceMs)}`];
   if (watch.silence > NO_WORD_S) return ["bad", `The console has been silent for ${seconds(watch.silence)}`];
   return robotStatus(watch.state, { age: watch.age("robot"), sits: drive.sits, opening: drive.sits && opening() });
 }
@@ -66,7 +66,7 @@ function drawStatus() {
   const [how, text] = status(), pill = $("#status"), { robot } = watch.state, running = Boolean(robot?.episode);
   pill.className = `pill ${how}`;
   say(pill, text);
-  pill.title = text;  // where it is cut off
+  pill.title = text;  // full text of a truncated pill
   $("#stop").setAttribute("aria-pressed", String(Boolean(robot?.emergency || robot?.cause === "emergency_stop")));
   if (running && document.body.dataset.episode !== robot.episode) showNews("");
   document.body.dataset.episode = robot?.episode ?? "";
@@ -90,22 +90,22 @@ function drawCameraAge(running, waits) {
 
 let lastLine = 0;
 
-/** Add what is new, and no more: a screen reader reads out what is added. */
+/** Add new lines only, since screen readers announce added lines. */
 function drawNews(lines) {
-  if (lines.at(-1).number < lastLine) lastLine = 0; // the console was started again
+  if (lines.at(-1).number < lastLine) lastLine = 0; // the console has restarted
   for (const { number, at, text } of lines.filter(({ number }) => number > lastLine)) {
     tell(text, new Date(Date.now() - 1000 * watch.since(at)));
     lastLine = number;
   }
 }
 
-// -- what is pressed -------------------------------------------------------------------------------------------------
+// -- commands ----------------------------------------------------------------------------------------------
 
 function drawSeat() {
   const seat = $("#seat"), sits = Boolean(drive?.sits), [linear, angular] = drive?.held ?? [0, 0];
   const held = { forward: linear > 0, backward: linear < 0, left: angular > 0, right: angular < 0 };
   seat.setAttribute("aria-pressed", String(sits));
-  say(seat, sits ? "Leave control" : watch?.state.taken ? "Somebody else drives" : "Take control");
+  say(seat, sits ? "Leave control" : watch?.state.taken ? "Another person drives" : "Take control");
   if (drive?.held) box.clear();
   for (const button of pad.children) button.classList.toggle("held", held[button.dataset.atom]);
 }
@@ -118,7 +118,7 @@ function tell(text, when = new Date()) {
   $("#news-empty").hidden = list.children.length > 0;
 }
 
-/** The news may be out of sight: the latest is shown for a while wherever one has scrolled to. */
+/** Show the latest news for a few seconds at any scroll position. */
 function showLatest(text) {
   clearTimeout(showLatest.timer);
   say($("#latest"), text);
@@ -127,7 +127,7 @@ function showLatest(text) {
 }
 
 function stop() {
-  if (![watch.stop(), drive.stop()].includes(true)) tell("NOT SENT: there is no connection to the console.");
+  if (![watch.stop(), drive.stop()].includes(true)) tell("NOT SENT: not connected to the console.");
   else if (watch.silence > NO_WORD_S) tell("The console does not answer: the emergency stop may be late.");
 }
 
@@ -140,7 +140,7 @@ for (const id in asks) $(`#${id}`).onclick = () => drive.ask(asks[id]);
 $("#found").onclick = () => (drive.ask({ do: "end", found: true, box: box.drawn }), box.clear());
 wireTeaching((what) => {
   drive.ask(what);
-  if (["drive", "run"].includes(what.do)) $("#camera").scrollIntoView({ block: "start" });  // to be looked at now
+  if (["drive", "run"].includes(what.do)) $("#camera").scrollIntoView({ block: "start" });
 });
 wireWorlds(async (map, name) => {
   if (!(await drive.take())) return;
@@ -150,7 +150,7 @@ wireWorlds(async (map, name) => {
     const answer = await fetch(`map?${new URLSearchParams({ name })}`, sent);
     if (!answer.ok) tell(`${map.name}: ${await answer.text()}`);
   } catch (error) {
-    tell(`The page could not send ${map.name}: ${error.message}`);
+    tell(`${map.name}: not sent (${error.message})`);
   }
 });
 
@@ -164,7 +164,7 @@ for (const button of pad.children) {
   for (const lost of ["onpointerup", "onpointercancel", "onlostpointercapture", "onblur"]) {
     button[lost] = () => drive.release(atom);
   }
-  // Who returns false there keeps every key from what it does elsewhere, and Tab would not lead away.
+  // Returning false would cancel every key, and Tab could not leave the button.
   button.onkeydown = (event) => { if (isPress(event) && !event.repeat && drive.sits) drive.press(atom); };
   button.onkeyup = (event) => { if (isPress(event)) drive.release(atom); };
   button.oncontextmenu = (event) => event.preventDefault();

@@ -1,4 +1,4 @@
-// The map: taught drives, today's way, the robot, and where it thinks that it is.
+// The map: taught drives, today's path, the robot, and its estimated position.
 
 import { course } from "./ahead.js";
 import { $, cleared, color } from "./element.js";
@@ -9,7 +9,7 @@ const canvas = $("#map canvas"), legend = $("#map .victim");
 
 export function drawMap({ model, way, pose, tracked, belief, around, robot, health, goal }, age) {
   const [pen, width] = cleared(canvas, HEIGHT);
-  // What was taught in another world is nowhere in this one.
+  // Drives in another world have no position in this world.
   const elsewhere = Boolean(model?.world && robot?.world && model.world !== robot.world);
   const taught = model?.x && !elsewhere ? model.x.map((x, k) => [x, model.y[k]]) : [];
   const today = way && pose && way.episode === pose.episode ? [...way.points, pose.pose] : pose ? [pose.pose] : [];
@@ -28,13 +28,13 @@ export function drawMap({ model, way, pose, tracked, belief, around, robot, heal
   const room = [width, HEIGHT].map((pixels) => pixels - 2 * MARGIN);
   const scale = Math.min(...spans.map(([low, high], axis) => room[axis] / Math.max(high - low, LEAST_M)));
   const at = ([x, y]) => [width / 2 + (x - middleX) * scale, HEIGHT / 2 - (y - middleY) * scale];
-  /** Pixels that lie so many pixels ahead and to the left of a pose. */
+  /** Pixel at an offset in pixels, ahead and to the left of a pose. */
   const beside = ([x, y, heading], [ahead, left]) => {
     const [px, py] = at([x, y]), [cos, sin] = [Math.cos(heading), Math.sin(heading)];
     return [px + cos * ahead - sin * left, py - sin * ahead - cos * left];
   };
 
-  /** Draw a line through pixels, or what it encloses. */
+  /** Draw a line through pixels, or fill its interior. */
   const trace = (pixels, shade, thickness, { closed = false, filled = false } = {}) => {
     const path = new Path2D();
     pixels.forEach((pixel, k) => path[k ? "lineTo" : "moveTo"](...pixel));

@@ -1,4 +1,4 @@
-// Recordings, learning, and running what was learned.
+// Recordings, learning, and runs with a model.
 
 import { $, element, say } from "./element.js";
 import { percent, recordingFacts } from "./words.js";
@@ -21,7 +21,7 @@ export function wireTeaching(ask) {
   list.onclick = ({ target }) => {
     if (!target.dataset.recording) return;
     if (target.dataset.sure) return ask({ do: "delete", recording: target.dataset.recording });
-    // No dialog of the browser's: while one is open the page could not stop the robot.
+    // A browser dialog would block the emergency stop.
     target.dataset.sure = "yes";
     target.textContent = "Really delete?";
     setTimeout(() => { delete target.dataset.sure; target.textContent = "Delete"; }, REALLY_MS);
@@ -34,20 +34,20 @@ function send(form, what) {
   form.onsubmit = (event) => {
     event.preventDefault();
     what(Object.fromEntries(new FormData(form)));
-    document.activeElement?.blur();  // the keys are for driving again
+    document.activeElement?.blur();  // return the keys to driving
   };
 }
 
 const picked = () => [...list.querySelectorAll("input:checked")].map((box) => box.value);
 const allowLearning = () => (learn.querySelector("button").disabled = picked().length === 0);
 
-/** Take note of where the robot is: what was driven elsewhere is not chosen to learn from, unless somebody does. */
+/** Set the robot's world; by default only its drives are selected for learning. */
 export function inWorld(now) {
   if (now !== world) {
     world = now;
     drawLibrary(library);
   }
-  warn();  // the choice of a world follows the robot, and may have changed too
+  warn();  // the selected world follows the robot
 }
 
 export function drawLibrary(now) {
@@ -55,7 +55,7 @@ export function drawLibrary(now) {
   drawRecordings(now.recordings);
   const empty = $("#recordings-empty");
   empty.hidden = now.recordings.length > 0;
-  const elsewhere = "The recorder records outside of the console's folder; start the stack with --root.";
+  const elsewhere = "The recorder's folder is outside the console's root; start the stack with --root.";
   if (now.folder === null) say(empty, elsewhere);
   const names = new Set(now.models.map(({ name }) => short(name))), name = learn.elements.name;
   if (!name.value || (names.has(name.value) && document.activeElement !== name)) {
@@ -70,7 +70,7 @@ export function drawLibrary(now) {
 
 const chosenModel = () => library.models.find(({ name }) => name === run.elements.model.value);
 
-/** Runs of today that found their goal where the chosen model was taught: it may learn more from two of them. */
+/** Today's successful runs in the worlds of the selected model, which can learn from two or more. */
 function runsOfToday() {
   const { goals = [], worlds = [] } = chosenModel() ?? {}, midnight_s = new Date().setHours(0, 0, 0, 0) / 1000;
   const good = ({ purpose, outcome, useless, when_s, goal, world: where }) =>
@@ -78,7 +78,7 @@ function runsOfToday() {
   return library.recordings.filter(good).map(({ name }) => name);
 }
 
-/** Say where the chosen model was taught, unless that is where the run will be, and offer what it may learn from. */
+/** Warn if the selected model was taught in another world, and offer today's runs for learning. */
 function warn() {
   const today = runsOfToday().length, more = $("#learn-today");
   more.hidden = today < 2;
@@ -86,12 +86,12 @@ function warn() {
   const { name = "", worlds = [] } = chosenModel() ?? {}, there = worldOf(world);
   const known = !there || worlds.length === 0 || worlds.includes(there);
   const taught = `${short(name)} was taught in ${worlds.join(" and ")}`;
-  say($("#elsewhere"), known ? "" : `${taught}, and this run is in ${there}: it knows no way there.`);
+  say($("#elsewhere"), known ? "" : `${taught}, and this run is in ${there}: the model has no route there.`);
 }
 
 let items = new Map();
 
-/** Draw anew what has changed alone: who is in the list by keys stays there. */
+/** Redraw changed items only, so that the keyboard focus stays. */
 function drawRecordings(recordings) {
   const known = items;
   items = new Map();
@@ -105,7 +105,7 @@ function drawRecordings(recordings) {
   now.forEach((item, k) => list.children[k] !== item && list.insertBefore(item, list.children[k] ?? null));
 }
 
-/** Whether it is learned from: as somebody has chosen, else what was driven here to the end. */
+/** Whether a recording is selected for learning: by choice, else if it is a complete drive in this world. */
 function teaches({ useless, name, purpose, outcome, world: where }) {
   return !useless && (chosen.get(name) ?? (purpose === "drive" && outcome === "found" && where === world));
 }
@@ -126,7 +126,7 @@ function recordingItem(one) {
   return element("li", {}, element("label", {}, box, text), row, remove);
 }
 
-/** A model as one has named it: where it lies means nothing here. */
+/** Display name of a model, without folder and suffix. */
 const short = (name) => name.replace(/^models\//, "").replace(/\.smal$/, "");
 
 let newest;
@@ -138,7 +138,7 @@ function fillModels() {
   const option = (one) => element("option", { value: one.name, disabled: Boolean(one.useless) }, named(one));
   select.replaceChildren(...library.models.map(option));
   const usable = library.models.filter(({ useless }) => !useless).map(({ name }) => name);
-  // The newest model is the one that somebody has just learned.
+  // Select a newly learned model.
   if (usable.length > 0) select.value = usable.includes(before) && usable[0] === newest ? before : usable[0];
   newest = usable[0];
   run.querySelector("button").disabled = usable.length === 0;
@@ -147,7 +147,7 @@ function fillModels() {
 
 function fillGoals() {
   const goals = chosenModel()?.goals ?? [], { goal } = run.elements, before = goal.value;
-  goal.disabled = goals.length === 0;  // the paper's scheme goes to the nearest one
+  goal.disabled = goals.length === 0;  // the paper's scheme drives to the nearest goal
   goal.replaceChildren(...goals.map((goal) => element("option", { value: goal }, goal)));
   if (goals.includes(before)) goal.value = before;
 }

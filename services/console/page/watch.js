@@ -1,4 +1,4 @@
-// The newest of everything. The server sends the next message when this one was seen: a slow page gets fewer.
+// Receives updates. The server sends the next after an acknowledgement, so slow pages receive fewer.
 
 const FIRST_WAIT_MS = 300, LONGEST_WAIT_MS = 3000;
 
@@ -20,18 +20,18 @@ export class Watch {
     return Math.max(0, performance.now() / 1000 + this._behindS - at);
   }
 
-  /** Age of a channel in seconds, or null where nothing was heard on it. */
+  /** Age of a channel in seconds; null before its first update. */
   age(channel) {
     const at = this.state[channel]?.at;
     return at === undefined ? null : this.since(at);
   }
 
-  /** Seconds that the console has let the page wait for news, of which it has some every two seconds. */
+  /** Seconds since the last update, which normally arrives every two seconds. */
   get silence() {
     return this._askedMs === null ? 0 : (performance.now() - this._askedMs) / 1000;
   }
 
-  /** Whether an emergency stop could be sent. */
+  /** Send an emergency stop; returns whether it was sent. */
   stop() {
     if (this.connected) this._socket.send('{"do":"stop"}');
     return this.connected;
@@ -65,7 +65,7 @@ export class Watch {
     Object.assign(this.state, news);
     try {
       this._onNews(Object.keys(news));
-    } finally {  // what cannot be drawn must not end the news: the picture, if one follows, is seen by itself
+    } finally {  // acknowledge even after a drawing error; a following picture is acknowledged separately
       if (!picture) this._seen(socket);
     }
   }
@@ -79,7 +79,7 @@ export class Watch {
     }
   }
 
-  /** A page that nobody looks at takes nothing more until somebody does. */
+  /** Pause updates while the page is hidden. */
   _seen(socket) {
     requestAnimationFrame(() => {
       if (socket.readyState !== WebSocket.OPEN) return;

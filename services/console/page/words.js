@@ -1,21 +1,21 @@
-// What the page says of the robot, in words.
+// Texts about the robot.
 
 export const OUTCOMES = {
   found: "found", collision: "collision", timeout: "out of time", aborted: "ended before the goal",
-  false_goal: "it said “found”, and was wrong", missed: "it passed the goal without a word",
-  not_here: "it said “not here”",
+  false_goal: "it reported “found”, wrongly", missed: "it passed the goal without a report",
+  not_here: "it reported “not here”",
 };
-/** How an episode ended, and whether what the robot said was so. */
+/** Outcome of an episode, and whether the robot's report was right. */
 const ended = ({ outcome, right }) => OUTCOMES[outcome] + ({ true: ", rightly", false: ", wrongly" }[right] ?? "");
 export const DOES = {
   forward: "drives forward", backward: "drives backward", left: "turns left", right: "turns right", stop: "stands",
 };
 const PLANS = {
-  follow: "follows the taught way", action: "does the action of its state", goal: "has said what it found",
-  dead_end: "knows no way on", look_around: "looks around", guess: "drives by its best guess",
+  follow: "follows the taught way", action: "does the action of its state", goal: "has reported what it found",
+  dead_end: "has no route from here", look_around: "looks around", guess: "drives by its best guess",
   blind: "stands: its camera shows nothing that was taught",
-  blocked: "waits: something stands in the way, and nothing leads round it",
-  stop: "stops: it does not know where it is", search: "has arrived, and looks for what it was sent to find",
+  blocked: "waits: an obstacle blocks the way, and there is no way round it",
+  stop: "stops: it is lost", search: "has arrived, and searches for the target",
 };
 const CAUSES = {
   not_armed: "The robot is not armed: a drive or a run arms it",
@@ -38,13 +38,13 @@ export function seconds(s) {
 
 export const percent = (share) => `${Math.round(100 * share)} %`;
 
-/** Who of those that something needs is ill; nothing where all work. */
+/** Ailments of the needed services; empty if all work. */
 export function illness(health, needed = ["router", "robot"]) {
   const ill = health?.services.filter(({ name, ailment }) => ailment && needed.includes(name)) ?? [];
   return ill.map(({ name, ailment }) => `${name}: ${ailment}`).join(", ");
 }
 
-/** How the robot is, in one line, and whether that is good, a warning or bad; `opening` is a world that it opens. */
+/** Status of the robot in one line with its level (good, warn, bad); `opening` is the world being opened. */
 export function robotStatus({ robot, health, taken }, { age, sits, opening }) {
   if (!robot || (!robot.answers && !robot.waiting)) {
     const ill = illness(health);
@@ -62,31 +62,31 @@ export function robotStatus({ robot, health, taken }, { age, sits, opening }) {
   if (robot.reason === "silence") {
     const free = taken ? "the driver holds no key" : "take control, then hold a key to drive";
     const why = sits ? "hold a key to drive" : free;
-    return ["warn", `The robot stands: ${robot.driver === "teleop" ? why : "it hears no command"}`];
+    return ["warn", `The robot stands: ${robot.driver === "teleop" ? why : "it receives no command"}`];
   }
   if (robot.reason === "deaf") {
-    return ["bad", "The robot stands: its link to the router carries nothing; it goes on when that works"];
+    return ["bad", "The robot stands: its link to the router is down; it goes on when the link is back"];
   }
   if (robot.reason === "obstacle") {
     const again = robot.source === "teleop" && sits ? ". To go on slowly all the same, let go, and hold the key again" : "";
-    return ["warn", `It stands, or goes slower: something is in the way, or nothing tells that it is free${again}`];
+    return ["warn", `It stands or drives slower: there is an obstacle, or the way is not known to be free${again}`];
   }
   if (robot.reason === "no_depth") {
     return ["bad", "The robot stands: its depth camera shows no ground, is frozen, or is too late"];
   }
-  if (robot.reason === "insisted") return ["warn", "Something is in the way: it goes on slowly, since you insist"];
+  if (robot.reason === "insisted") return ["warn", "There is an obstacle: it goes on slowly, since you insist"];
   if (robot.reason === "radius") return ["good", "A car turns while it drives, no more sharply than it can"];
   const correct = robot.source === "policy" && sits ? "; hold a key to correct it" : "";
   return ["good", `${DRIVERS[robot.source] ?? "The robot stands"}${correct}`];
 }
 
-/** What a robot with such a velocity does; hardly a bend is none. */
+/** Description of a velocity; slight bends count as straight. */
 function does({ atom, linear, angular }) {
   const bends = linear && Math.abs(angular) >= 0.1 ? `, bending ${angular > 0 ? "left" : "right"}` : "";
   return bends ? DOES[linear > 0 ? "forward" : "backward"] + bends : DOES[atom] ?? DOES.stop;
 }
 
-/** How the episode goes, or how the last one went. */
+/** Progress of the episode, or outcome of the last episode. */
 export function episodeFacts(robot) {
   if (!robot?.purpose) return "";
   const now = robot.episode ? `, it ${does(robot)}` : "";
@@ -94,7 +94,7 @@ export function episodeFacts(robot) {
   return `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: frame ${robot.tick}${now}${end}`;
 }
 
-/** What the robot knows of where it is; `age` is that of the belief, in seconds. */
+/** Description of the belief; `age` in seconds. */
 export function beliefFacts(belief, age) {
   if (!belief) return "Nothing yet: begin a run.";
   if (age >= 2) return `This is ${seconds(age)} old.`;
@@ -106,7 +106,7 @@ export function beliefFacts(belief, age) {
   return status === "recognized" ? "The page reads the model …" : "The robot has not recognized a taught place yet.";
 }
 
-/** What the robot plans and does, and how far it has to go, by name. */
+/** Rows of the plan: action, commands, remaining time, target. */
 export function planFacts(plan, belief, goal) {
   const cost = belief.cost === null ? "no way to the goal" : `${belief.cost?.toFixed(0)} s to ${goal}`;
   return {
@@ -117,7 +117,7 @@ export function planFacts(plan, belief, goal) {
   };
 }
 
-/** What is in a recording, and why it teaches nothing if so. */
+/** Description of a recording, or the reason why it cannot teach. */
 export function recordingFacts(one, when) {
   if (one.useless) return one.useless;
   const end = `${OUTCOMES[one.outcome] ?? "end not recorded"}${one.corrected ? ", corrected by hand" : ""}`;

@@ -1,4 +1,4 @@
-// The world that a simulated robot is in, those that it can be in, and maps that become worlds.
+// Worlds of a simulated robot, and the import of maps.
 
 import { $, element, say } from "./element.js";
 
@@ -6,14 +6,14 @@ const card = $("#map"), form = $("#world-form"), file = form.elements.map;
 const MOST_LETTERS = 64, MOST_BYTES = 200;
 let fresh = null;
 
-/** Wire the choice of a world; a map is handed to `take` with the name that its world will have. */
+/** Connect the world form; `take` receives a map and the name of its world. */
 export function wireWorlds(take) {
   const offer = (files) => {
     for (const one of [...files].slice(0, 1)) take(one, nameOf(one));
     file.value = "";
   };
   file.onchange = () => offer(file.files);
-  // A file that is dropped beside the card must not open in the place of the page.
+  // A file dropped beside the card must not replace the page.
   for (const type of ["dragover", "drop"]) addEventListener(type, (event) => event.preventDefault());
   for (const type of ["dragover", "dragleave", "drop"]) {
     card.addEventListener(type, () => card.classList.toggle("over", type === "dragover" && !form.hidden));
@@ -21,7 +21,7 @@ export function wireWorlds(take) {
   card.addEventListener("drop", ({ dataTransfer }) => !form.hidden && offer(dataTransfer.files));
 }
 
-/** The name of a file as one that a world may have; see WorldName in schemas/rpc.py. */
+/** Convert a file name to a valid world name; see WorldName in schemas/rpc.py. */
 function nameOf({ name }) {
   const whole = name.normalize().replace(/\.[^.]*$/, "");
   const plain = whole.replace(/[^\p{Alphabetic}\p{M}\p{Nd}\p{Pc} ().-]/gu, "-");
@@ -30,20 +30,20 @@ function nameOf({ name }) {
   return letters.join("") || "map";
 }
 
-/** Where the next drive or run is to be; nothing where the robot is real, or is to stay where it is. */
+/** World and variation of the next drive or run; empty for a real robot, null if unchanged. */
 export function chosenWorld() {
   return form.hidden ? {} : { world: other(form.elements.world), variation: other(form.elements.variation) };
 }
 
-/** How the victim of the next run lies, in simulation. */
+/** Placement of the victim in the next simulated run. */
 export const chosenVictim = () => (form.hidden ? {} : { victim: form.elements.victim.value });
 
-/** The world of the next drive or run, for a robot that is in `here`. */
+/** World of the next drive or run, for a robot in `here`. */
 export const worldOf = (here) => (form.hidden ? here : form.elements.world.value);
 
 const other = ({ value, dataset }) => (value === dataset.now ? null : value || null);
 
-/** Take note of a world that has just been made: it is chosen when the robot knows it. */
+/** Select a new world once the robot lists it. */
 export function madeWorld(name) {
   fresh = name;
 }
@@ -57,7 +57,7 @@ export function drawWorlds(told) {
   if ([...world.options].some(({ value }) => value === fresh)) [world.value, fresh] = [fresh, null];
 }
 
-/** Offer what there is, and where the robot is in any case; what is chosen stays so until the robot is elsewhere. */
+/** Offer the names and the current one; a selection stays until the robot's own changes. */
 function fill(select, told = "", here = "") {
   const now = String(here), before = select.value;
   const names = [...new Set([...String(told).split(", "), now])].filter(Boolean);
@@ -68,7 +68,7 @@ function fill(select, told = "", here = "") {
   if (select.dataset.now !== now) [select.dataset.now, select.value] = [now, now];
 }
 
-/** What the robot would have to open for the next drive or run, which takes a while; nothing where it is there. */
+/** World that the robot must open for the next drive or run; empty if it is already open. */
 export function opening() {
   const { world, variation } = form.elements;
   return Object.values(chosenWorld()).some(Boolean) ? `${world.value} (${variation.value})` : "";
@@ -76,7 +76,7 @@ export function opening() {
 
 const news = card.querySelector(".empty");
 
-/** Show what becomes of a map, on the place of the drawing, which moves nothing; without a text, the drawing. */
+/** Show the progress of an import over the map; an empty text hides it. */
 export function showNews(text) {
   say(news, text);
   news.hidden = !text;

@@ -136,7 +136,7 @@ class Trial:
             self.variation: self.variation != "day",
             self.degradation: self.degradation != "clean",
         }
-        return condition(self, own)
+        return condition(vars(self), own)
 
 
 @dataclass(frozen=True)

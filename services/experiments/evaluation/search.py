@@ -87,6 +87,22 @@ class SearchRun:
         return float(np.sqrt(np.mean(jerks**2))) if jerks.size else 0.0
 
 
+class _Camera:
+    """The robot's camera: degrades its images, and keeps each n-th (0: none)."""
+
+    def __init__(self, degrader: Degrader | None, every: int) -> None:
+        self._degrader = degrader
+        self._every = every
+        self.kept: dict[int, NDArray[np.uint8]] = {}
+
+    def see(self, tick: int, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        if self._degrader is not None:
+            image = self._degrader.apply(tick, image)
+        if self._every and tick % self._every == 0:
+            self.kept[tick] = image
+        return image
+
+
 def search(
     simulation: Simulation,
     driver: Driver,
@@ -97,62 +113,68 @@ def search(
     until_said: bool = False,
     waits: bool = False,
 ) -> SearchRun:
-    """Let somebody search who sees degraded images, `until_said` to their word; keep each `picture_ticks`-th.
+    """Run one search of a driver, with degraded images if so, and keep each `picture_ticks`-th image.
 
-    Who `waits` is kept from running into things, and does not see them.
+    With `until_said` the search ends at the driver's announcement. With `waits` the driver gets no depth images: its
+    guard alone keeps it from running into things.
     """
     kind = type(driver)
-    says = hasattr(kind, "said") or hasattr(kind, "done")
-    episode = LockstepEpisode(
-        simulation, request.model_copy(update={"until_said": until_said and says})
-    )
+    until_said = until_said and any(hasattr(kind, name) for name in ("said", "done"))
+    episode = LockstepEpisode(simulation, request.model_copy(update={"until_said": until_said}))
     driver.reset()
     # The search ends where the victim counts as found.
     shortest_m = max(route_length_m(np.array(episode.beginning.route)) - simulation.found_m, 0.0)
-    tells = hasattr(kind, "where")
+    camera = _Camera(degrader, picture_ticks)
     poses = [episode.view.pose]
+    clearance_m = [simulation.clearance_m]
     atoms = list[Atom]()
     places = list[TaughtPlace | None]()
-    pictures = {}
-    clearance_m = [simulation.clearance_m]
-    ended: Ended | None = None
-    while ended is None:
-        tick = episode.tick
+    said: Said | None = None
+    while True:
         view = episode.view
-        image = view.image if degrader is None else degrader.apply(tick, view.image)
-        if picture_ticks and tick % picture_ticks == 0:
-            pictures[tick] = image
+        image = camera.see(episode.tick, view.image)
         if episode.outcome is not None:
-            ended = Ended(episode.outcome)
             break
-        sees: dict[str, Any] = {}
-        if isinstance(driver, Robot) and view.depth is not None and not waits:
-            sees = {"depth": (view.depth, simulation.mount)}
-        told = driver.step(image, rounded(view.odometry)[:3], **sees)
-        if tells:
+        depth = None if waits or view.depth is None else (view.depth, simulation.mount)
+        velocity = _velocity(driver, image, rounded(view.odometry)[:3], depth)
+        if hasattr(kind, "where"):
             places.append(None if driver.lost else driver.where)  # type: ignore[attr-defined]
-        if says and (said := _said(driver)) is not None:
-            ended = episode.end(said)
+        if (said := _said(driver)) is not None:
             break
-        asked = (
-            KEYS[cast(AtomName, told.name.lower())] if isinstance(told, Atom) else Velocity(*told)
-        )
-        poses.append(episode.step(asked).pose)
+        poses.append(episode.step(velocity).pose)
         clearance_m.append(simulation.clearance_m)
-        atoms.append(Atom[asked.atom().upper()])
-    way = np.array([[pose.x, pose.y, pose.heading] for pose in poses])
-    made = np.array(atoms, dtype=np.int8)
-    kidnapped = request.kidnap_tick or 0
-    free = np.array(clearance_m)
+        atoms.append(Atom[velocity.atom().upper()])
+    ended = Ended(cast("Outcome", episode.outcome)) if said is None else episode.end(said)
     return SearchRun(
-        ended.outcome, way, made, free, shortest_m, tuple(places), pictures, kidnapped, ended.right
+        ended.outcome,
+        poses=np.array([[pose.x, pose.y, pose.heading] for pose in poses]),
+        atoms=np.array(atoms, dtype=np.int8),
+        clearance_m=np.array(clearance_m),
+        shortest_m=shortest_m,
+        places=tuple(places),
+        pictures=camera.kept,
+        kidnap_tick=request.kidnap_tick or 0,
+        right=ended.right,
     )
+
+
+def _velocity(
+    driver: Driver,
+    image: NDArray[np.uint8],
+    odometry: Sequence[float],
+    depth: tuple[Any, ...] | None,
+) -> Velocity:
+    sees = {"depth": depth} if isinstance(driver, Robot) and depth is not None else {}
+    movement = driver.step(image, odometry, **sees)
+    if isinstance(movement, Atom):
+        return KEYS[cast(AtomName, movement.name.lower())]
+    return Velocity(*movement)
 
 
 def _said(driver: Driver) -> Said | None:
     if hasattr(driver, "said"):
         return cast("Said | None", driver.said)
-    return "found" if driver.done else None  # type: ignore[attr-defined]
+    return "found" if getattr(driver, "done", False) else None
 
 
 def finding(found: SearchRun, taught: NDArray[np.float64], criterion: Criterion) -> dict[str, Any]:
@@ -180,12 +202,15 @@ def finding(found: SearchRun, taught: NDArray[np.float64], criterion: Criterion)
         )
         said["wrong_share"] = round(float((sure & ~right).mean()), 4)
         if 0 < found.kidnap_tick <= len(found.atoms):
-            # The time after which the belief is right for a whole second, or to the end; None where it never is.
-            after = right[found.kidnap_tick :]
-            second = round(1.0 / TICK_S)
-            ticks = (tick for tick in range(after.size) if after[tick : tick + second].all())
-            said["right_after_s"] = next((round(tick * TICK_S, 1) for tick in ticks), None)
+            said["right_after_s"] = _right_after_s(right[found.kidnap_tick :])
     return said
+
+
+def _right_after_s(right: NDArray[np.bool_]) -> float | None:
+    """Return the time after which the belief is right for a whole second, or to the end; None if never."""
+    second = round(1.0 / TICK_S)
+    ticks = (tick for tick in range(right.size) if right[tick : tick + second].all())
+    return next((round(tick * TICK_S, 1) for tick in ticks), None)
 
 
 def _is_right(

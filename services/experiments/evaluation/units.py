@@ -337,7 +337,7 @@ class Errand(Unit):
 
 
 def units(plan: EvaluationPlan) -> list[Unit]:
-    """Return all units of a plan, each once and after those that it needs; what tells most comes first."""
+    """Return all units of a plan, each once and after those that it needs; the most informative come first."""
     found: dict[Unit, None] = {}
 
     def add(unit: Unit) -> None:
@@ -346,35 +346,39 @@ def units(plan: EvaluationPlan) -> list[Unit]:
         found[unit] = None
 
     for world in plan.worlds:
-        for unit in _units_of(world, plan):
+        site = Site.of(world.world, plan.camera, plan.base)
+        for unit in (*_searches(site, world, plan.patience), *_recognitions(site, world)):
             add(unit)
+        for errand in TASKS if world.errands else ():
+            add(Errand(site, (), errand, RUNS))
     return list(found)
 
 
-def _units_of(world: WorldPlan, plan: EvaluationPlan) -> Iterator[Unit]:
-    site = Site.of(world.world, plan.camera, plan.base)
-
-    def teaching(drives: int, which: int = 0, recoveries: int = 0) -> tuple[Teach, ...]:
-        first = TEACHING_SEED + which * drives
-        from_route = tuple(Teach(site, (), first + k, "recovery") for k in range(recoveries))
-        return tuple(Teach(site, (), first + k) for k in range(drives)) + from_route
-
-    def learned(taught: tuple[Teach, ...], length: int) -> tuple[LearnUnit]:
-        return (LearnUnit(site, taught, length),)
-
+def _searches(site: Site, world: WorldPlan, patience: float) -> Iterator[Unit]:
     for trial in world.trials:
-        length = {"smal": 0, "paper": trial.length}.get(trial.controller.partition("-")[0])
         for which in range(trial.sets):
-            taught = teaching(trial.drives, which, trial.recoveries)
-            needs = (*taught, *(() if length is None else learned(taught, length)))
-            yield Searches(site, needs, trial, which, plan.patience, world.criterion)
+            needs: tuple[Unit, ...] = _teaching(site, trial.drives, which, trial.recoveries)
+            match trial.controller.partition("-")[0]:
+                case "smal":
+                    needs += (LearnUnit(site, needs, 0),)
+                case "paper":
+                    needs += (LearnUnit(site, needs, trial.length),)
+            yield Searches(site, needs, trial, which, patience, world.criterion)
+
+
+def _recognitions(site: Site, world: WorldPlan) -> Iterator[Unit]:
     queries = tuple(Query(site, (), world.recognized, QUERY_SEED + k) for k in range(world.queries))
-    if queries:
-        for recognizer in world.recognizers:
-            model = learned(teaching(world.drives), recognizer.length) if recognizer.eq9 else ()
-            needs = (*teaching(world.drives), *queries, *model)
-            for name in world.recognized:
-                yield Recognize(site, needs, recognizer, name, world.criterion)
-    if world.errands:
-        for errand in TASKS:
-            yield Errand(site, (), errand, RUNS)
+    taught = _teaching(site, world.drives)
+    for recognizer in world.recognizers if queries else ():
+        model = (LearnUnit(site, taught, recognizer.length),) if recognizer.eq9 else ()
+        for name in world.recognized:
+            needs = (*taught, *queries, *model)
+            yield Recognize(site, needs, recognizer, name, world.criterion)
+
+
+def _teaching(site: Site, drives: int, which: int = 0, recoveries: int = 0) -> tuple[Teach, ...]:
+    first = TEACHING_SEED + which * drives
+    return (
+        *(Teach(site, (), first + k) for k in range(drives)),
+        *(Teach(site, (), first + k, "recovery") for k in range(recoveries)),
+    )

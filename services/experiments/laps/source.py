@@ -36,17 +36,10 @@ def read_laps(
     tally = Tally()
     with TemporaryDirectory() as folder:
         if tub:
-            run(
-                ImportJob(
-                    format="donkeycar",
-                    path=str(source),
-                    folder=folder,
-                    robot="car",
-                    speed=1,
-                    turn_rate=1,
-                ),
-                tally,
-            )
+            # The values of a speed and a turn rate of 1 are unknown.
+            speeds = {"speed": 1.0, "turn_rate": 1.0}
+            job = {"format": "donkeycar", "path": str(source), "folder": folder, "robot": "car"}
+            run(ImportJob.model_validate(job | speeds), tally)
         files = find_recordings([Path(folder) if tub else source])
         teaching = Teacher(HELD, shortest=2).read_all(files, advance)
     remarks = tally.lines() if tub else teaching.remarks
@@ -68,25 +61,28 @@ def laps_of(
     if len(laps) < 3:
         raise JobError(f"views recur in {len(laps)} whole laps; at least 3 are needed")
     if reckoned:
-        each = [turns[lap.piece][lap.first : lap.last] for lap in laps]
-        round_rad, driven_rad = (
-            abs(float(np.median([of(turn).sum() for turn in each]))) for of in (np.array, np.abs)
-        )
-        if round_rad <= driven_rad / 2.0:
-            raise JobError(
-                "laps turn to both sides; import it with --speed and --turn-rate, and give that"
-            )
-        drives = [_turning(one, math.tau / round_rad) for one in drives]
+        times = _times_to_turn_once([turns[lap.piece][lap.first : lap.last] for lap in laps])
+        drives = [_turning(one, times) for one in drives]
     return [(_part(drives[lap.piece], lap.first, lap.last), lap) for lap in laps]
+
+
+def _times_to_turn_once(turns: Sequence[NDArray[np.float64]]) -> float:
+    """Return the factor of turns with which the median lap turns once round; JobError when it turns to both sides."""
+    round_rad = abs(float(np.median([turn.sum() for turn in turns])))
+    if round_rad <= float(np.median([np.abs(turn).sum() for turn in turns])) / 2.0:
+        raise JobError(
+            "laps turn to both sides; import it with --speed and --turn-rate, and give that"
+        )
+    return math.tau / round_rad
 
 
 def _turns(drive: Demonstration) -> NDArray[np.float64]:
     """Return how far it turned left after each frame, (f,): radians by its wheels, or 1 where it only was told to."""
+    turned: NDArray[np.float64]
     if drive.odometry is None:
-        return np.where(
-            drive.atoms == Atom.LEFT, 1.0, np.where(drive.atoms == Atom.RIGHT, -1.0, 0.0)
-        )
-    turned: NDArray[np.float64] = seen_from(drive.odometry[1:], drive.odometry[:-1])[:, 2]
+        turned = 1.0 * (drive.atoms == Atom.LEFT) - (drive.atoms == Atom.RIGHT)
+        return turned
+    turned = seen_from(drive.odometry[1:], drive.odometry[:-1])[:, 2]
     return np.append(turned, 0.0)
 
 

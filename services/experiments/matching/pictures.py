@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from services.experiments.drawing import COLOURS, MUTED, draw_reliability, styled
+from services.experiments.drawing import COLOURS, MUTED, draw_curve, draw_reliability, styled
 from services.experiments.matching.report import MatchQuality
 from smal.evaluation.ground_truth import IntervalTruth
 from smal.place_recognition import Matches
@@ -46,10 +46,7 @@ def draw_matches(
     if quality is not None:
         curve = quality.curve
         panel = more[0]
-        # Steps, as the area counts them; without any answer there is no curve.
-        recall = np.concatenate([np.zeros(min(1, curve.recall.size)), curve.recall])
-        precision = np.concatenate([curve.precision[:1], curve.precision])
-        panel.step(recall, precision, where="pre", color=COLOURS[0], lw=2)
+        draw_curve(panel, curve, color=COLOURS[0], lw=2)
         if (at_100 := curve.recall_at_100_precision) > 0.0:
             panel.plot(
                 [at_100],
@@ -58,10 +55,8 @@ def draw_matches(
                 color=COLOURS[0],
                 label=f"recall {at_100:.2f} at 100 % precision",
             )
-        panel.set(
-            xlim=(0.0, 1.02), ylim=(0.0, 1.02), xlabel="recall", ylabel="precision", aspect="equal"
-        )
-        panel.set_title(f"area under the curve {curve.auc:.3f}")
+        title = f"area under the curve {curve.auc:.3f}"
+        panel.set(xlim=(0.0, 1.02), ylim=(0.0, 1.02), aspect="equal", title=title)
     if reliability is not None:
         draw_reliability(more[1], reliability)
     if truth is not None or not matches.matched.all():

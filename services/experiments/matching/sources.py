@@ -80,26 +80,26 @@ def open_source(path: Path, argument: str) -> TraverseSource:
 def _folder(path: Path, argument: str) -> TraverseSource:
     try:
         with os.scandir(path) as entries:
-            # What is neither a file nor a folder could be a pipe, which nobody ever writes to; a link to nothing was
-            # meant to be a frame.
-            files = [
-                e for e in entries if not e.name.startswith(".") and (e.is_file() or e.is_symlink())
-            ]
-            names = [e.name for e in files if not e.is_dir()]
+            names = sorted((one.name for one in entries if _may_be_frame(one)), key=natural_key)
     except OSError as error:
         raise UsageError(f"{argument} {path}: {error.strerror}") from None
-    names.sort(key=natural_key)
     with quiet_opencv():
-        frames = tuple(
-            name for name in names if is_named_as_image(name) or read_color(path / name) is not None
-        )
-    if not frames:
+        known = {
+            name: path / name
+            for name in names
+            if is_named_as_image(name) or read_color(path / name) is not None
+        }
+    if not known:
         raise UsageError(f"{argument} {path}: no image in this folder (files: {len(names)})")
-    known = set(frames)
-    pictures = [path / name for name in frames]
-    return TraverseSource(
-        path, frames, tuple(name for name in names if name not in known), lambda: pictures
-    )
+    others = tuple(name for name in names if name not in known)
+    return TraverseSource(path, tuple(known), others, known.values)
+
+
+def _may_be_frame(entry: os.DirEntry[str]) -> bool:
+    """Return whether an entry is a file or a broken link, which was meant to be a frame; a pipe could block forever."""
+    if entry.name.startswith(".") or entry.is_dir():
+        return False
+    return entry.is_file() or entry.is_symlink()
 
 
 def _recording(path: Path) -> TraverseSource:

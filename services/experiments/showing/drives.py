@@ -37,14 +37,18 @@ def find_drives(model: Model | PaperModel, recordings: Iterable[Path]) -> Taught
     missing = []
     for number, (parts, count, _) in enumerate(taught_drives(model)):
         one = whole.get(parts)
-        why = (
-            "not among the recordings" if one is None
-            else "the recording of this name is of another drive" if len(one.atoms) != count
-            else "its recording lacks images" if one.images is None
-            else ""
-        )  # fmt: skip
-        if one is None or why:
-            missing.append(f"{printable(', '.join(parts))}: {why}")
+        fault = _fault(one, count)
+        if one is None or fault:
+            missing.append(f"{printable(', '.join(parts))}: {fault}")
         else:
             found[number] = one
     return TaughtDrives(found, tuple(missing), tuple(teacher.teaching.remarks))
+
+
+def _fault(recorded: Demonstration | None, frames: int) -> str:
+    """Return why the recording of this name is not the taught drive of so many frames, if so."""
+    if recorded is None:
+        return "not among the recordings"
+    if len(recorded.atoms) != frames:
+        return "the recording of this name is of another drive"
+    return "its recording lacks images" if recorded.images is None else ""

@@ -1,1 +1,1 @@
-"""What a world looks like: meshes, textures, sky and light, and the camera that renders them with SAPIEN."""
+"""Appearance of a world: meshes, textures, sky, light, and cameras rendered by SAPIEN."""

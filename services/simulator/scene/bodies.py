@@ -1,4 +1,4 @@
-"""Victims and robots as meshes about their own origin, x forward."""
+"""Meshes of victims and robots about their own origin, x forward."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,14 +12,14 @@ from services.simulator.scene.meshes import UPRIGHT, ball, drum, quads, tube
 from services.simulator.scene.surfaces import Finish, Piece, Surface, Vector
 from services.simulator.tables import table
 
-# Pixels a module of the marker, and modules of a marker with its black border.
+# Pixels of a marker module, and modules of a marker with its black border.
 _MODULE_PX: Final = 32
 _MODULES: Final = 6
 
 
 @dataclass(frozen=True)
 class BodyMesh:
-    """An entry of the table `bodies`, which says what is in it."""
+    """An entry of the table `bodies`."""
 
     mirrored: bool
     balls: list[tuple[str, Vector, Vector, int]]
@@ -30,13 +30,13 @@ _BODIES: Final = table("bodies", dict[str, BodyMesh])
 
 
 def body(name: str) -> Iterator[Piece]:
-    """Yield a body of the table."""
-    made = _BODIES[name]
-    for side in (1, -1) if made.mirrored else (1,):
-        for material, (x, y, z), radii, detail in made.balls:
+    """Yield the pieces of a body from the table."""
+    parts = _BODIES[name]
+    for side in (1, -1) if parts.mirrored else (1,):
+        for material, (x, y, z), radii, detail in parts.balls:
             if y or side > 0:
                 yield Finish(material), ball((x, side * y, z), radii, detail)
-        for material, (x, y, z), (to_x, to_y, to_z), ends, sectors in made.limbs:
+        for material, (x, y, z), (to_x, to_y, to_z), ends, sectors in parts.limbs:
             if y or side > 0:
                 yield (
                     Finish(material),
@@ -45,7 +45,7 @@ def body(name: str) -> Iterator[Piece]:
 
 
 def turtlebot(model: RobotModel) -> Iterator[Piece]:
-    """Yield a TurtleBot II as the camera above sees it: plates on a round base, and wheels."""
+    """Yield a TurtleBot II as seen from above: plates on a round base, and wheels."""
     top = model.height_m
     wheel = model.drive.wheel_radius_m
     for size, low, high in (
@@ -63,7 +63,7 @@ def tag(marker: TagMount) -> Surface:
     """Return a marker on a white plate, its upper edge towards x."""
     known = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     square = cv2.aruco.generateImageMarker(known, marker.number, _MODULES * _MODULE_PX)
-    # A margin of one white module is what finds markers needs.
+    # Detectors need a margin of one white module.
     plate = np.pad(square, _MODULE_PX, constant_values=255)
     half = marker.side_m * (0.5 + 1 / _MODULES)
     corners = [

@@ -1,4 +1,4 @@
-"""A world as meshes, pictures and lights, ready for any renderer: here sky and trees. Knows nothing of SAPIEN."""
+"""Build meshes, pictures and lights of a world for any renderer, with its sky and trees."""
 
 import math
 import zlib
@@ -21,7 +21,7 @@ from services.simulator.world.terrain import Terrain, Tree, TreeKind
 
 _SKY_RADIUS_M: Final = 900.0
 _SKY_SEED: Final = 7
-#: Of each kind: radius of the crown and height of its lower end, as fractions of the tree's height.
+#: For each kind: radius of the crown, and height of its lower end, as fractions of the tree height.
 _CROWN: Final[dict[TreeKind, tuple[float, float]]] = {
     "round": (0.34, 0.28),
     "tall": (0.2, 0.22),
@@ -32,28 +32,28 @@ _LEAVES: Final[dict[TreeKind, str]] = {
     "tall": "dark_leaves",
     "conifer": "needles",
 }
-# Leaves hide how few faces a crown has; a town has thousands of trees.
+# Leaves hide the small number of faces; a town has thousands of trees.
 _DETAIL: Final = 5
 _SMALL_DETAIL: Final = 3
 _TIERS: Final = 4
 
 
 def build_scene(world: World, light: Daylight) -> SceneSurfaces:
-    """Make the meshes, pictures and lights of a world; takes seconds."""
+    """Build the meshes, pictures and lights of a world; takes seconds."""
     terrain = world.place
     if isinstance(terrain, Room):
         return room.build(terrain, light)
     if not isinstance(terrain, Terrain):
-        raise TypeError(f"a {type(terrain).__name__} cannot be drawn")
-    # Where the sun is too weak for shadows to be seen, there are none.
+        raise TypeError(f"unsupported place: {type(terrain).__name__}")
+    # A weak sun casts no visible shadows.
     shade = (
         cast_shade(terrain, light.direction, crowns(terrain.trees))
         if max(light.sun) > 0.5
         else Polygon()
     )
-    # What is drawn first hides what comes later: the ground is last, since it lies behind everything.
+    # Early draws occlude later draws; the ground lies behind everything, so it comes last.
     things = [*buildings(terrain.buildings), *barriers(terrain.barriers), *trees(terrain.trees)]
-    # More sky shines from opposite the sun than from elsewhere, so that shaded walls keep their shape.
+    # The sky opposite the sun is brighter, so that shaded walls keep their shape.
     east, north = -0.9 * np.array(light.direction[:2]) / max(math.hypot(*light.direction[:2]), 1e-9)
     return SceneSurfaces(
         ambient=light.sky,
@@ -66,7 +66,7 @@ def build_scene(world: World, light: Daylight) -> SceneSurfaces:
 
 
 def _sky(light: Daylight) -> Surface:
-    """Return a dome whose inside wears the sky; it goes with the camera, so that it never comes closer."""
+    """Return the sky dome; it moves with the camera."""
     detail = 24
     dome = ball((0, 0, 0), (1, 1, 1), detail)
     elevation = np.degrees(np.arcsin(np.clip(dome.vertices[:, 2], -1, 1)))
@@ -89,7 +89,7 @@ def trees(items: Iterable[Tree]) -> Iterator[Piece]:
 
 
 def crowns(items: Iterable[Tree]) -> list[tuple[Polygon, float, float]]:
-    """Return the outline of each crown from above with the heights between which it casts shade."""
+    """Return the outline of each crown from above, with the heights of its lower and upper end."""
     found = []
     for tree in items:
         radius, low = (fraction * tree.height_m for fraction in _CROWN[tree.kind])
@@ -100,7 +100,7 @@ def crowns(items: Iterable[Tree]) -> list[tuple[Polygon, float, float]]:
 
 
 def _crown(tree: Tree, rng: np.random.Generator) -> Iterator[Mesh]:
-    """Yield a large ball of leaves and four small ones around it."""
+    """Yield a large ball of leaves with four small ones around it."""
     radius, low = (fraction * tree.height_m for fraction in _CROWN[tree.kind])
     middle = (low + tree.height_m) / 2
     half = (tree.height_m - low) / 2

@@ -1,4 +1,4 @@
-"""Buildings and barriers as meshes with what they wear; every roof is closed underneath."""
+"""Meshes of buildings and barriers with their finishes; every roof is closed from below."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
@@ -37,22 +37,22 @@ from services.simulator.world.terrain import POST_M, Barrier, BarrierKind, Build
 _OVERHANG_M: Final = 0.4
 _FASCIA_M: Final = 0.15
 _CORNICE_M: Final = 0.18
-# Rise over run of a pitched roof whose height nobody has said.
+# Default slope (rise over run) of a pitched roof.
 _SLOPE: Final = 0.6
-# A footprint that fills less of the rectangle around it has no ridge along that rectangle.
+# A footprint that fills less of its bounding rectangle gets no ridge along that rectangle.
 _OBLONG: Final = 0.85
-# Part of the widest place of a footprint that slopes along its edges cover, the rest is level: of an angled one, or its
-# arms would have no slopes; and of a rectangle.
+# Fraction of the inscribed circle's radius that slopes cover (the rest is level): on an angled
+# footprint, which needs slopes on its arms, and on a rectangle.
 _SLOPED: Final = 0.7
 _TO_THE_RIDGE: Final = 0.99
 _METRES: Final = (4.0, 4.0)
 _WALL_METRES: Final = (BAYS * BAY_M, STOREY_M)
-# Colours of roofs are rounded: each one is a picture of its own.
+# Roof colours are rounded, since each colour is a separate picture.
 _COLOUR_STEP: Final = 32
-# Walls lower than this have no room for a window, and a wall too short for a window is bare.
+# Minimum wall height and length for a window.
 _LOW_M: Final = 1.5
 _PIER_M: Final = 1.2
-# Not quite the whole height of the picture, or filtering would mix its foot into its top.
+# Slightly less than the full height, or filtering would mix the foot into the top.
 _GROUND_ROWS: Final = (0.99, 0.01)
 _TRIM: Final = Finish("trim")
 _BARRIER: Final[dict[BarrierKind, tuple[str, float]]] = {
@@ -61,7 +61,7 @@ _BARRIER: Final[dict[BarrierKind, tuple[str, float]]] = {
 
 
 def buildings(items: Sequence[Building]) -> Iterator[Piece]:
-    """Yield walls and roofs of all buildings, posts under canopies, and what is seen of them from below."""
+    """Yield walls, roofs, undersides and canopy posts of all buildings."""
     looks = alike(building.facade for building in items)
     for building in each(items):
         facade = looks[building.facade]
@@ -78,7 +78,7 @@ def buildings(items: Sequence[Building]) -> Iterator[Piece]:
 
 
 def barriers(items: Iterable[Barrier]) -> Iterator[Piece]:
-    """Yield hedges, walls and fences with their own thickness."""
+    """Yield hedges, walls and fences with their thickness."""
     for barrier in items:
         material, thickness = _BARRIER[barrier.kind]
         body = barrier.line.buffer(thickness / 2, cap_style="flat")
@@ -114,7 +114,7 @@ def _walls(ring: NDArray[np.float64], building: Building, facade: Facade) -> Ite
 
 
 def _bays(ring: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the texture coordinate (k - 1, 2) at both ends of each wall: whole bays, none cut by a corner."""
+    """Return the texture coordinates (k - 1, 2) of the ends of each wall, in whole bays."""
     lengths = np.linalg.norm(np.diff(ring, axis=0), axis=1)
     bays = np.maximum(1, np.round(lengths / BAY_M))
     first = np.arange(len(lengths)) % BAYS
@@ -131,7 +131,7 @@ def _flat(building: Building) -> Iterator[Piece]:
 
 
 def _pitched(building: Building, facade: Facade) -> Iterator[Piece]:
-    """Yield a roof with a ridge along the rectangle that a building nearly fills, else slopes along all its edges."""
+    """Yield a gabled roof for a nearly rectangular building, else slopes along all edges."""
     top = building.height_m
     footprint = building.footprint
     cover = _cover("slate" if building.facade.variant % 2 else "tiles", building)
@@ -166,7 +166,7 @@ def _pitched(building: Building, facade: Facade) -> Iterator[Piece]:
 
 
 def _around(eaves: Polygon, z: float, rise_m: float, sloped: float) -> tuple[Mesh, list[Mesh]]:
-    """Return slopes along all the edges of any footprint, and the level parts in the middle of it."""
+    """Return slopes along all edges of a footprint, and the level parts in its middle."""
     run = sloped * shapely.maximum_inscribed_circle(eaves, tolerance=0.1).length
     inner = eaves.buffer(-run, join_style="mitre", mitre_limit=2.0)
     rise = rise_m or _SLOPE * run

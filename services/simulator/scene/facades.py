@@ -1,4 +1,4 @@
-"""Pictures of façades: a wall with windows for the upper storeys, one with doors for the ground floor."""
+"""Façade pictures: upper storeys with windows, a ground floor with doors, a bare wall."""
 
 import zlib
 from collections.abc import Iterable
@@ -15,18 +15,18 @@ from services.simulator.tables import table
 from services.simulator.world.place import Rgb
 from services.simulator.world.terrain import Facade, FacadeStyle
 
-#: A picture shows this many bays side by side and, of the upper storeys, this many one above the other.
+#: Bays side by side, and upper storeys above each other, in a picture.
 BAYS: Final = 4
 STOREYS: Final = 4
 BAY_M: Final = 3.2
 STOREY_M: Final = 3.0
 
-#: The parts of a façade, by number: upper storeys, the ground floor, a wall without windows.
+#: Index of a façade's pictures: upper storeys, ground floor, bare wall.
 UPPER, GROUND, BARE = range(3)
-MOST_LOOKS: Final = 64  # Most façades that are painted for one world; one takes 7 MB.
+MOST_LOOKS: Final = 64  # Maximum number of painted façades in a world; each takes 7 MB.
 
 _CELL_PX: Final = 256
-# Step of colours, and number of variants, from the finest to the coarsest: 5 styles by 8 colours or none.
+# Rounding of colours and number of variants, finest first: 5 styles by 8 colours or none.
 _ROUNDINGS: Final = (
     (1, 2**32),
     (16, 2**32),
@@ -41,7 +41,7 @@ _WALL_COLOURS: Final = table("facades", dict[FacadeStyle, tuple[Rgb, ...]])
 
 
 class _Plan(NamedTuple):
-    """How the windows of one façade look: sizes as fractions of a bay and a storey."""
+    """Window layout of a façade, as fractions of a bay and a storey."""
 
     wall: Rgb
     frame: Rgb
@@ -52,7 +52,7 @@ class _Plan(NamedTuple):
 
 
 def alike(facades: Iterable[Facade]) -> dict[Facade, Facade]:
-    """Return for each façade the one that is painted for it: at most `MOST_LOOKS`, rounded as coarsely as needed."""
+    """Map each façade to the façade painted for it: at most `MOST_LOOKS`, rounded as needed."""
     wanted = dict.fromkeys(facades)
     for colours, variants in _ROUNDINGS:
         found = {
@@ -63,28 +63,33 @@ def alike(facades: Iterable[Facade]) -> dict[Facade, Facade]:
         }
         if len(set(found.values())) <= MOST_LOOKS:
             return found
-    raise AssertionError("the coarsest rounding leaves fewer looks than the limit")
+    raise AssertionError("unreachable: the coarsest rounding is within the limit")
 
 
 def in_steps(colour: Rgb, step: int) -> Rgb:
-    """Return a colour with each of its levels moved to the middle of the step that it lies in."""
+    """Round a colour to the middle of its step."""
     red, green, blue = (level // step * step + step // 2 for level in colour)
     return red, green, blue
 
 
 @lru_cache(maxsize=1)
 def paint_facade(facade: Facade) -> tuple[Picture, Picture, Picture]:
-    """Paint the parts of a façade, uint8 RGB, seamless to the sides; equal façades give equal pictures.
+    """Paint the pictures of a façade, uint8 RGB, seamless to the sides.
 
-    `UPPER` has 4 by 4 windows (1024, 1024, 3), `GROUND` 4 bays with a door in one (256, 1024, 3), and `BARE`, for
-    gables and low bands, has no windows (256, 1024, 3).
+    Equal façades give equal pictures.
+
+    Returns
+    -------
+    tuple of array
+        `UPPER` (1024, 1024, 3) with 4 by 4 windows, `GROUND` (256, 1024, 3) with 4 bays and a
+        door, and `BARE` (256, 1024, 3) without windows, for gables and low bands.
     """
     seed = zlib.crc32(repr(astuple(facade)).encode())
     rng = np.random.default_rng(seed)
     plan = _plan(facade, rng)
     upper = _wall(facade.style, plan.wall, STOREYS, rng)
     ground = _wall(facade.style, plan.wall, 1, rng)
-    # A plinth along the ground grounds the building visually.
+    # A plinth anchors the building visually.
     ground[-26:] = as_picture(ground[-26:].astype(np.float64) * 0.45 + 52)
     for bay in range(BAYS):
         for storey in range(STOREYS):
@@ -137,7 +142,7 @@ def _wall(style: FacadeStyle, colour: Rgb, storeys: int, rng: np.random.Generato
 
 @lru_cache(maxsize=1)
 def _weather_sheet() -> NDArray[np.float64]:
-    """Return the unevenness of an old wall, of which every wall has a piece, since making noise is slow."""
+    """Return noise for the weathering of walls; each wall takes a section, since noise is slow."""
     return layered(np.random.default_rng(0), (STOREYS * _CELL_PX, BAYS * _CELL_PX), (2.0, 60.0))
 
 
@@ -174,7 +179,7 @@ def _window(picture: Picture, plan: _Plan, bay: int, storey: int, rng: np.random
 
 
 def _glaze(picture: Picture, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
-    """Paint a pane that mirrors a pale sky above and dark trees below, perhaps with a blind half down."""
+    """Paint a pane with a reflection of pale sky above dark trees, and possibly a blind."""
     left, top, width, height = box
     fade = np.linspace(1.0, 0.0, height)[:, None, None]
     sky = np.array([132, 152, 170])

@@ -1,4 +1,4 @@
-"""Pictures that fill one face of something: posters, windows, doors, whiteboards, books, drawers, cartons."""
+"""Pictures of faces: posters, windows, doors, whiteboards, books, drawers, cartons."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ FacePainter = Callable[[np.random.Generator, Rgb | None], Picture]
 
 @dataclass(frozen=True)
 class Face:
-    """An entry of the table `faces`, which says what is in it."""
+    """An entry of the table `faces`."""
 
     colours: list[Rgb]
     grain_px: tuple[float, float]
@@ -33,7 +33,7 @@ class Face:
     bars: list[tuple[int, int, int, int, Rgb, int]]
 
     def paint(self, rng: np.random.Generator, colour: Rgb | None) -> Picture:
-        """Return its picture."""
+        """Return the painted face."""
         plain = colour or self.colours[int(rng.integers(len(self.colours)))]
         picture = coloured(plain, 1.0 + self.contrast * noise(rng, (SIZE, SIZE), self.grain_px))
         for left, top, width, height, tint, outline in self.bars:
@@ -47,14 +47,14 @@ def sheet(colour: Rgb) -> Picture:
 
 
 def pick(rng: np.random.Generator) -> Rgb:
-    """Return one of the strong colours."""
+    """Draw a strong colour."""
     return STRONG[int(rng.integers(len(STRONG)))]
 
 
 def fill(
     picture: Picture, box: tuple[int, int, int, int], colour: tuple[int, ...], outline: int = -1
 ) -> None:
-    """Fill a rectangle, given its left, top, width and height; or draw an outline of so many pixels."""
+    """Fill a rectangle (left, top, width, height), or draw its outline if a width is given."""
     left, top, width, height = box
     cv2.rectangle(picture, (left, top), (left + width - 1, top + height - 1), colour, outline)
 
@@ -70,7 +70,7 @@ def lines(
 
 
 def paint_face(face: str, variant: int, colour: Rgb | None) -> Picture:
-    """Return the picture of a face, (512, 512, 3) uint8 RGB; equal arguments give equal pictures."""
+    """Paint a face, (512, 512, 3) uint8 RGB; equal arguments give equal pictures."""
     return FACES[face](np.random.default_rng([sum(face.encode()), variant]), colour)
 
 
@@ -109,7 +109,7 @@ def _window(rng: np.random.Generator, colour: Rgb | None) -> Picture:
 
 
 def _fading(top: ArrayLike, low: ArrayLike, more: ArrayLike = 0.0) -> Picture:
-    """Return a picture that fades from a colour at its top to another one, each pixel by so much lighter."""
+    """Paint a vertical gradient between two colours; `more` is added to each pixel."""
     fade = np.linspace(0, 1, SIZE)[:, None, None]
     sky = np.asarray(top) * (1 - fade) + np.asarray(low) * fade
     return as_picture(
@@ -118,7 +118,7 @@ def _fading(top: ArrayLike, low: ArrayLike, more: ArrayLike = 0.0) -> Picture:
 
 
 def _ridge(picture: Picture, tops: ArrayLike, tint: ArrayLike) -> None:
-    """Paint what is below a line of heights (512,), pixels from above."""
+    """Paint the area below a line of heights (512,), pixels from above."""
     below = np.array([*enumerate(np.asarray(tops)), (SIZE, SIZE), (0, SIZE)]).astype(np.int32)
     cv2.fillPoly(picture, [below], np.clip(tint, 0, 255).tolist(), cv2.LINE_AA)
 
@@ -149,7 +149,7 @@ def _books(rng: np.random.Generator, colour: Rgb | None) -> Picture:
 
 
 def paint_poster(rng: np.random.Generator, colour: Rgb | None) -> Picture:
-    """Paint one of four kinds of posters: a conference's, a landscape, circles, a sign."""
+    """Paint a poster of one of four kinds: conference, landscape, circles, sign."""
     kinds = (_paper_poster, _landscape, _circles, _sign)
     accent = colour or pick(rng)
     picture = kinds[int(rng.integers(len(kinds)))](rng, accent)

@@ -1,4 +1,4 @@
-"""Furniture as meshes, with what they wear; each piece fills the footprint and the height that it states."""
+"""Meshes of furniture with finishes; each piece fills its stated footprint and height."""
 
 import zlib
 from collections.abc import Iterator
@@ -20,19 +20,19 @@ _VARIANTS: Final = 4
 
 
 def furnish(piece: Furniture) -> list[Piece]:
-    """Return a piece of furniture where it stands."""
-    made = {"plant": _plant, "shelf": _shelf}.get(piece.kind, _boxes)(piece)
-    return [(finish, mesh.placed(piece.pose)) for finish, mesh in made]
+    """Return the pieces of furniture at its pose."""
+    parts = {"plant": _plant, "shelf": _shelf}.get(piece.kind, _boxes)(piece)
+    return [(finish, mesh.placed(piece.pose)) for finish, mesh in parts]
 
 
 def _variant(piece: Furniture) -> int:
-    """Return which of a few looks a piece has, by its size and colour, so that equal pieces look the same."""
+    """Return the look of a piece; equal size and colour give equal looks."""
     size = (piece.kind, piece.width_m, piece.depth_m, piece.height_m, piece.colour)
     return zlib.crc32(repr(size).encode()) % _VARIANTS
 
 
 def _boxes(piece: Furniture) -> Iterator[Piece]:
-    """Yield the drawn parts: cartons with a picture on each side, other faces in front, tyres round."""
+    """Yield the drawn parts: cartons have a picture on each side, other pieces in front."""
     for part in PARTS[piece.kind]:
         colour = piece.colour or part.colour if part.own else part.colour
         box, low, high = piece.box(part)
@@ -65,7 +65,6 @@ def _shelf(piece: Furniture) -> Iterator[Piece]:
 
 
 def _plant(piece: Furniture) -> Iterator[Piece]:
-    """Yield a pot of soil with a bush in it."""
     radius = piece.width_m / 2
     height = piece.height_m
     pot = 0.3 * height

@@ -1,7 +1,7 @@
-"""The ground: streets with kerbs, sidewalks and markings, paths, lawns, and the shade that lies on them.
+"""Ground meshes: streets with kerbs, sidewalks and markings, paths, lawns and shadows.
 
-All layers are cut out of each other and lie in one plane, so that nothing flickers in the distance. Only the markings,
-which are many and small, lie on top: thicker than paint, so that the camera's depth tells them from the street.
+Layers are cut out of each other and lie in one plane, which avoids z-fighting in the distance. Only
+the small markings lie on top, higher than paint, so that the depth buffer separates them.
 """
 
 import itertools
@@ -28,18 +28,18 @@ _DASH_M: Final = (2.0, 3.0)
 _MARKING_M: Final = 0.12
 _JOIN_M: Final = 1.0
 _PAINT_M: Final = 0.01
-# Segments of a quarter of a circle: a street's corner of 4 m then misses the arc by 8 cm at most.
+# Segments of a quarter circle: a street corner of 4 m deviates from the arc by at most 8 cm.
 _ROUND: Final = 4
-# How far the edge of a shade may be from where it belongs; fewer corners draw faster.
+# Tolerance of shadow edges; fewer corners draw faster.
 _SHADE_M: Final = 0.1
 _TEXTURE_M: Final = 4.0
-# Cutting layers out of each other costs more than the square of their corners.
+# The cost of cutting layers grows faster than the square of their corners.
 _TILE_M: Final = 250.0
 _AREA_MATERIAL: Final[dict[AreaKind, str]] = {"water": "water", "paved": "paved", "grass": "lawn"}
 
 
 def ground(terrain: Terrain, shade: BaseGeometry) -> Iterator[Piece]:
-    """Yield a terrain's ground and some land around it; where it is in `shade` its normal points away from the sun."""
+    """Yield the ground of a terrain and its margin; in `shade` its normals face off the sun."""
     claims = _claims(terrain)
     shapely.prepare([claim for _, claim in claims])
     shapely.prepare(shade)
@@ -62,7 +62,7 @@ def _laid(material: str, area: BaseGeometry, shade: BaseGeometry, z: float) -> I
 
 
 def _tiles(bounds: Bounds) -> list[Polygon]:
-    """Return squares along the lines of a grid of `_TILE_M` that cover bounds, the outer ones cut to fit."""
+    """Return the grid squares of `_TILE_M` that cover the bounds, clipped to them."""
     columns, rows = (
         np.unique(
             np.clip(_TILE_M * np.arange(low // _TILE_M, high // _TILE_M + 2), low, high)
@@ -74,7 +74,7 @@ def _tiles(bounds: Bounds) -> list[Polygon]:
 
 
 def _claims(terrain: Terrain) -> list[tuple[str, BaseGeometry]]:
-    """Return what each material covers, with overlaps; the first to claim a place keeps it, grass takes the rest."""
+    """Return the overlapping areas of each material; earlier claims win, grass fills the rest."""
     streets = [road for road in terrain.roads if road.kind == "street"]
     paths = [road for road in terrain.roads if road.kind == "path"]
     asphalt = shapely.union_all([_widened(road) for road in streets])
@@ -99,13 +99,14 @@ def _claims(terrain: Terrain) -> list[tuple[str, BaseGeometry]]:
 
 
 def _layers(claims: list[tuple[str, BaseGeometry]], tile: Polygon) -> dict[str, BaseGeometry]:
-    """Return what each material covers of a tile, without overlaps and without a gap."""
+    """Partition a tile by material, without overlaps and gaps."""
     layers: dict[str, BaseGeometry] = {}
     left: BaseGeometry = tile
     for material, claim in claims:
         if not claim.intersects(tile):
             continue
-        # Where a claim only touches what is left, the intersection has lines and points as well.
+        # Where a claim touches the remaining area, the intersection contains lines and points as
+        # well.
         layers[material] = MultiPolygon(polygons(left.intersection(claim), 1e-4))
         left = left.difference(claim)
     return layers | {"grass": left}
@@ -133,7 +134,7 @@ def _dashes(streets: list[Road]) -> Iterator[Polygon]:
 def cast_shade(
     terrain: Terrain, sun: tuple[float, float, float], crowns: list[tuple[Polygon, float, float]]
 ) -> BaseGeometry:
-    """Return where the ground is shaded by buildings, barriers and crowns (outline, low, high), as `sun` goes."""
+    """Return the shadow on the ground of buildings, barriers and crowns (outline, low, high)."""
     step = np.array(sun[:2]) / -sun[2]
     solids = [
         (house.footprint, house.min_height_m, house.height_m + house.roof_height_m / 2)
@@ -150,8 +151,8 @@ def cast_shade(
 
 
 def _swept(polygon: Polygon, begin: NDArray[np.float64], end: NDArray[np.float64]) -> BaseGeometry:
-    """Return what a polygon covers while it is pushed from one displacement (2,) to another."""
+    """Return the area swept by a polygon between two displacements (2,)."""
     corners = triangles(polygon)
-    # A triangle is convex, and so is what it sweeps.
+    # A triangle is convex, and so is its swept area.
     ends = np.concatenate([corners + begin, corners + end], axis=1)
     return shapely.union_all(shapely.convex_hull(shapely.multipoints(ends)))

@@ -1,4 +1,4 @@
-"""Triangle meshes with texture coordinates, in metres with z up, and the few shapes that a world is made of."""
+"""Triangle meshes with texture coordinates (metres, z up), and the basic shapes of a world."""
 
 import math
 from collections.abc import Iterable
@@ -14,18 +14,25 @@ from services.simulator.world.furniture import Box
 from services.simulator.world.place import Pose
 
 UP: Final = np.array([0.0, 0.0, 1.0])
-#: Of a picture upright on a rectangle, from its lower left corner on.
+#: Texture coordinates of an upright rectangle, from its lower left corner.
 UPRIGHT: Final = [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)]
-# The same without its outermost edge, at which filtering mixes in the opposite one.
+# Slightly inset, since filtering wraps around at the edges.
 _WHOLE: Final = [(0.003, 0.997), (0.997, 0.997), (0.997, 0.003), (0.003, 0.003)]
-TEXTURE_M: Final = 0.6  # A material's picture repeats after so much of furniture.
+TEXTURE_M: Final = 0.6  # Texture period on furniture.
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles of one texture: vertices and normals (n, 3), uvs (n, 2), and triangles (m, 3), rows of vertices.
+    """Triangles of one texture.
 
-    A uv of 1 is one repetition of the texture, v grows downwards; triangles are anticlockwise seen from outside.
+    Attributes
+    ----------
+    vertices, normals : array of shape (n, 3)
+        Positions in metres, and unit normals.
+    uvs : array of shape (n, 2)
+        Texture coordinates; 1 is one repetition, v grows downwards.
+    triangles : array of shape (m, 3)
+        Indices of vertices, anticlockwise seen from outside.
     """
 
     vertices: NDArray[np.float32]
@@ -34,7 +41,7 @@ class Mesh:
     triangles: NDArray[np.uint32]
 
     def placed(self, pose: Pose) -> "Mesh":
-        """Return the mesh turned about the vertical and moved."""
+        """Return the mesh rotated about the vertical axis and moved to a pose."""
         cos = math.cos(pose.heading)
         sin = math.sin(pose.heading)
         turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -46,12 +53,12 @@ class Mesh:
         )
 
     def flipped(self) -> "Mesh":
-        """Return the mesh with its inside out; the renderer draws outsides only."""
+        """Return the mesh inside out; the renderer culls back faces."""
         return make(self.vertices, -self.normals, self.uvs, self.triangles[:, ::-1])
 
 
 def make(vertices: ArrayLike, normals: ArrayLike, uvs: ArrayLike, triangles: ArrayLike) -> Mesh:
-    """Return a mesh of the given arrays in the types that the renderer takes."""
+    """Build a mesh with the array types that the renderer takes."""
     return Mesh(
         np.asarray(vertices, dtype=np.float32),
         np.asarray(normals, dtype=np.float32),
@@ -61,7 +68,7 @@ def make(vertices: ArrayLike, normals: ArrayLike, uvs: ArrayLike, triangles: Arr
 
 
 def merge(meshes: Iterable[Mesh]) -> Mesh:
-    """Return one mesh of all; at least one is needed. One big mesh draws much faster than many small ones."""
+    """Merge at least one mesh into one; a large mesh draws faster than many small ones."""
     parts = list(meshes)
     offsets = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     return make(
@@ -75,7 +82,7 @@ def merge(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def quads(corners: ArrayLike, uvs: ArrayLike) -> Mesh:
-    """Return flat quadrilaterals: corners (n, 4, 3) anticlockwise seen from outside, uvs (n, 4, 2)."""
+    """Build quadrilaterals: corners (n, 4, 3) anticlockwise from outside, uvs (n, 4, 2)."""
     points = np.asarray(corners, dtype=np.float64)
     normal = np.cross(points[:, 1] - points[:, 0], points[:, 3] - points[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
@@ -89,7 +96,7 @@ def quads(corners: ArrayLike, uvs: ArrayLike) -> Mesh:
 def grid(
     vertices: NDArray[np.float64], normals: NDArray[np.float64], uvs: NDArray[np.float64]
 ) -> Mesh:
-    """Return the surface over a grid of points, given as arrays (rows, columns, 3), the uvs (rows, columns, 2)."""
+    """Build the surface over a grid of points (rows, columns, 3) with uvs (rows, columns, 2)."""
     rows, columns = vertices.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
     a = index[:-1, :-1]
@@ -103,13 +110,13 @@ def grid(
 
 
 def outline(polygon: shapely.Polygon) -> list[NDArray[np.float64]]:
-    """Return the rings (k, 2), each closed, with the solid on their left: the outside of a wall is to the right."""
+    """Return the closed rings (k, 2), with the solid on their left."""
     turned = shapely.orient_polygons(polygon)
     return [shapely.get_coordinates(ring) for ring in (turned.exterior, *turned.interiors)]
 
 
 def sides(ring: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]:
-    """Return upright rectangles (k - 1, 4, 3) along a closed ring (k, 2), anticlockwise from its right, foot first."""
+    """Return upright rectangles (k - 1, 4, 3) along a ring (k, 2), lower right corner first."""
     begin = ring[:-1]
     end = ring[1:]
     foot = np.full((len(begin), 1), low)
@@ -133,10 +140,10 @@ def walls(
     v: tuple[float, float],
     which: NDArray[np.bool_] | None = None,
 ) -> Mesh:
-    """Return upright walls along a closed ring (k, 2) with the solid on its left, from one height to another.
+    """Build upright walls between two heights along a closed ring (k, 2), the solid on its left.
 
-    `u` (k - 1, 2) is the texture coordinate at both ends of each wall, `v` at foot and top; `which` (k - 1,) chooses
-    walls.
+    `u` (k - 1, 2) is the texture coordinate at both ends of each wall, `v` at foot and top. `which`
+    (k - 1,) selects walls.
     """
     chosen = np.ones(len(u), dtype=bool) if which is None else which
     corners = sides(ring, low, high)[chosen]
@@ -147,7 +154,7 @@ def walls(
 
 
 def band(polygon: shapely.Polygon, low: float, high: float, metres: float) -> Mesh:
-    """Return plain walls around a polygon whose texture repeats every `metres`."""
+    """Build plain walls around a polygon; the texture repeats every `metres`."""
     return merge(
         walls(ring, low, high, running(ring) / metres, (high / metres, low / metres))
         for ring in outline(polygon)
@@ -155,7 +162,7 @@ def band(polygon: shapely.Polygon, low: float, high: float, metres: float) -> Me
 
 
 def triangles(polygon: BaseGeometry) -> NDArray[np.float64]:
-    """Return triangles (n, 3, 2), anticlockwise, that fill an area."""
+    """Triangulate an area: (n, 3, 2), anticlockwise."""
     parts = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
     return shapely.get_coordinates(shapely.orient_polygons(parts)).reshape(-1, 4, 2)[:, :3]
 
@@ -163,7 +170,7 @@ def triangles(polygon: BaseGeometry) -> NDArray[np.float64]:
 def flat(
     polygon: shapely.Polygon, z: float, metres: float, normal: NDArray[np.float64] = UP
 ) -> Mesh:
-    """Return a level area seen from above whose texture repeats every `metres`."""
+    """Build a level area seen from above; the texture repeats every `metres`."""
     points = triangles(polygon).reshape(-1, 2)
     vertices = np.column_stack([points, np.full(len(points), z)])
     order = np.arange(len(points)).reshape(-1, 3)
@@ -171,7 +178,7 @@ def flat(
 
 
 def faces(triangles: NDArray[np.float64], metres: tuple[float, float]) -> Mesh:
-    """Return triangles (n, 3, 3), anticlockwise from outside; their texture repeats along the level and the slope."""
+    """Build triangles (n, 3, 3), anticlockwise; the texture runs along the level and the slope."""
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     twice_area = np.linalg.norm(across, axis=1)
     solid = twice_area > 1e-9
@@ -191,7 +198,7 @@ def faces(triangles: NDArray[np.float64], metres: tuple[float, float]) -> Mesh:
 
 
 def ball(centre: ArrayLike, radii: ArrayLike, detail: int) -> Mesh:
-    """Return an ellipsoid of `detail` rings and twice as many sectors."""
+    """Build an ellipsoid of `detail` rings and twice as many sectors."""
     polar, around = np.meshgrid(
         np.linspace(0, np.pi, detail + 1), np.linspace(0, 2 * np.pi, 2 * detail + 1), indexing="ij"
     )
@@ -206,7 +213,7 @@ def ball(centre: ArrayLike, radii: ArrayLike, detail: int) -> Mesh:
 
 
 def tube(start: ArrayLike, end: ArrayLike, radii: tuple[float, float], sectors: int = 8) -> Mesh:
-    """Return an open tube between two points (3,), with a radius at either end; radius 0 makes a cone."""
+    """Build an open tube between two points (3,) with a radius at either end; radius 0 is a tip."""
     begin = np.asarray(start, dtype=np.float64)
     finish = np.asarray(end, dtype=np.float64)
     axis = finish - begin
@@ -229,7 +236,7 @@ def tube(start: ArrayLike, end: ArrayLike, radii: tuple[float, float], sectors: 
 
 
 def drum(start: ArrayLike, end: ArrayLike, radius: float, sectors: int = 16) -> Mesh:
-    """Return a tube with flat ends."""
+    """Build a tube with flat ends."""
     begin = np.asarray(start, dtype=np.float64)
     finish = np.asarray(end, dtype=np.float64)
     out = 1e-4 * (finish - begin) / np.linalg.norm(finish - begin)
@@ -241,25 +248,25 @@ def drum(start: ArrayLike, end: ArrayLike, radius: float, sectors: int = 16) -> 
 
 
 def running(ring: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the distance along the ring at each wall's beginning and end, (k - 1, 2)."""
+    """Return the distances (k - 1, 2) along the ring at the ends of each wall."""
     lengths = np.linalg.norm(np.diff(ring, axis=0), axis=1)
     ends = np.cumsum(lengths)
     return np.stack([ends - lengths, ends], axis=1)
 
 
 def block(box: Box, low: float, high: float) -> Mesh:
-    """Return a box with a repeating texture: sides, top, and an underside if it is off the floor."""
+    """Build a box with a repeating texture, and with an underside if it is off the floor."""
     outline = shapely.box(*box)
     sides = [band(outline, low, high, TEXTURE_M), flat(outline, high, TEXTURE_M)]
     return merge(sides if low <= 0.0 else [*sides, flat(outline, low, TEXTURE_M).flipped()])
 
 
 def cased(box: Box, low: float, high: float) -> Mesh:
-    """Return the four sides of a box, each with the whole picture."""
+    """Build the four sides of a box, each with the whole picture."""
     return quads(sides(outline(shapely.box(*box))[0], low, high), [_WHOLE] * 4)
 
 
 def front(box: Box, low: float, high: float) -> Mesh:
-    """Return the front of a box with the whole picture."""
+    """Build the front of a box with the whole picture."""
     _, left, x, right = box
     return quads([[(x, left, low), (x, right, low), (x, right, high), (x, left, high)]], [_WHOLE])

@@ -1,4 +1,4 @@
-"""Render one tiny frame in a process of its own, which a broken driver may take with it, and print JSON of it."""
+"""Render a tiny frame in a separate process, in case the driver crashes; print JSON."""
 
 import json
 import sys
@@ -10,12 +10,13 @@ _SOFTWARE_DRIVERS = ("llvmpipe", "lavapipe", "swiftshader")
 
 
 def probed() -> dict[str, str | bool | float]:
-    """Render a red box, seen from 3 m, and look at the pixel in its middle."""
+    """Render a red box from 3 m, and check the middle pixel."""
     begin_s = time.monotonic()
     try:
         sapien = load_sapien()
         sapien.render.set_log_level("error")
-        # Others of SAPIEN's first make a table of reflections: six seconds of processor time without a GPU.
+        # SAPIEN's other shaders first compute a reflection table: 6 s of processor time without a
+        # GPU.
         sapien.render.set_camera_shader_dir("trivial")
         scene = sapien.Scene()
         scene.set_ambient_light([1.0, 1.0, 1.0])

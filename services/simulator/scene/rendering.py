@@ -1,4 +1,4 @@
-"""The robot's camera and the one above it, rendered by SAPIEN."""
+"""The robot's camera and the overhead camera, rendered by SAPIEN."""
 
 import math
 from collections.abc import Sequence
@@ -25,13 +25,14 @@ from services.simulator.world.place import OverheadMount, Pose, World
 
 _MOST_PICTURES: Final = 2048
 _SHADER: Final = Path(__file__).parent / "shader"
-# As many as the shader has; the rest of them are dark.
+# Number of lights in the shader; unused lights are dark.
 _LIGHTS: Final = 3
 _DARK: Final = ((0.0, 0.0, -1.0), (0.0, 0.0, 0.0))
 _NEAR_M: Final = 0.1
 _FAR_M: Final = 2000.0
-#: What a pixel shows, told by the picture's alpha, 0 to 255; our shader takes it from the material. Colours are blended
-#: by it with what was drawn there before, so all are near 255, and the victim and the robot are drawn first.
+#: Labels of pixels in the alpha channel, 0 to 255; our shader takes them from the material. Colours
+#: are blended with earlier draws by alpha, so labels are near 255, and the victim and the robot are
+#: drawn first.
 NOTHING: Final = 0
 STILL: Final = 255
 SKY: Final = 254
@@ -41,19 +42,20 @@ ROBOT: Final = 252
 
 @lru_cache(maxsize=1)
 def load_renderer() -> Any:
-    """Import and set up SAPIEN once a process: its settings hold only before anything is made with them."""
+    """Import and configure SAPIEN once; its settings apply only before other calls."""
     sapien = load_sapien()
     render = sapien.render
     render.set_log_level("error")
     render.set_global_config(max_num_materials=_MOST_PICTURES, max_num_textures=_MOST_PICTURES)
-    # A third of the time of SAPIEN's quickest one on software drivers; shade is part of the ground, see `ground`.
+    # Takes a third of the time of SAPIEN's fastest shader on software drivers; `ground` draws
+    # shadows.
     render.set_camera_shader_dir(str(_SHADER))
     render.set_picture_format("Color", "r8g8b8a8unorm")
     return sapien
 
 
 class SceneCamera:
-    """A camera on the robot's mast, in a world built for it; UnavailableError without a usable Vulkan driver."""
+    """A camera on the robot's mast in a world; raises UnavailableError without Vulkan."""
 
     def __init__(self, world: World, settings: CameraSettings) -> None:
         self._sapien = sapien = load_renderer()
@@ -68,7 +70,8 @@ class SceneCamera:
             self._scene.set_ambient_light(scene.ambient)
             for direction, colour in (*scene.lights, *[_DARK] * (_LIGHTS - len(scene.lights))):
                 self._scene.add_directional_light(direction, colour, shadow=False)
-            # In the order of drawing: what is drawn first hides the others; the sky is last, and goes with the camera.
+            # Draw order: early draws occlude later draws; the sky is last, and moves with the
+            # camera.
             self._victim = self._add(self._body(scene.victim, VICTIM))
             self._decoys = [self._add(self._body(decoy, STILL)) for decoy in scene.decoys]
             self._robot = self._add(self._body(scene.robot, ROBOT))
@@ -85,14 +88,14 @@ class SceneCamera:
             raise cannot_render(error) from error
 
     def lay(self, victim: Pose | None, decoy: Pose | None = None, which: int = 0) -> None:
-        """Put the victim somewhere, or nowhere, and in its place one of the things that are taken for it, or none."""
+        """Place the victim, and a decoy in its place; None hides either."""
         places = [victim, *([None] * len(self._decoys))]
         places[1 + which % len(self._decoys)] = decoy
         for entity, at in zip((self._victim, *self._decoys), places, strict=True):
             self._move(entity, at)
 
     def obstruct(self, things: Sequence[Obstacle]) -> None:
-        """Show these obstacles from now on, in the place of those before."""
+        """Replace the displayed obstacles."""
         self._seen_from = None
         for entity in self._obstacles:
             self._scene.remove_entity(entity)
@@ -103,7 +106,7 @@ class SceneCamera:
             self._move(entity, one.pose)
 
     def walk(self, people: Sequence[Pose]) -> None:
-        """Show people at these places from now on."""
+        """Move the displayed people to poses."""
         if people == self._walk:
             return
         self._walk = people
@@ -113,41 +116,42 @@ class SceneCamera:
             self._move(entity, at)
 
     def _move(self, entity: Any, at: Pose | None) -> None:
-        """Put something somewhere, or nowhere: under the ground nothing sees it."""
+        """Move an entity to a pose; None hides it under the ground."""
         at_m = (0.0, 0.0, -_FAR_M) if at is None else (at.x, at.y, 0.0)
         entity.set_pose(self._sapien.Pose(at_m, _turn(0.0 if at is None else at.heading)))
         self._seen_from = None
 
     def render(self, pose: Pose, tilt: Tilt = LEVEL) -> NDArray[np.uint8]:
-        """Return the image seen by a robot at `pose` whose camera is tilted, (height, width, 3) uint8 RGB."""
+        """Render the image of a tilted camera at `pose`, (height, width, 3) uint8 RGB."""
         self._look_from(pose, tilt)
         return _colour(self._camera)
 
     def depth_m(self, pose: Pose, tilt: Tilt = LEVEL) -> NDArray[np.float32]:
-        """Return each pixel's depth along the axis, (height, width) float32, metres; `inf` for the sky and nothing."""
+        """Render the depth along the axis, (height, width) float32, metres; `inf` for the sky."""
         shown = self._labels(pose, tilt)
-        # The depth buffer holds 0 at the near plane and 1 at the far one, and is linear in the inverse of the depth.
+        # The depth buffer is 0 at the near plane, 1 at the far plane, and linear in the inverse
+        # depth.
         buffer = self._camera.get_picture("GbufferDepth").astype(np.float64)
         depth = _NEAR_M * _FAR_M / (_FAR_M - buffer * (_FAR_M - _NEAR_M))
         return np.where((shown == NOTHING) | (shown == SKY), np.inf, depth).astype(np.float32)
 
     def victim_pixels(self, pose: Pose, tilt: Tilt = LEVEL) -> float:
-        """Return the fraction of the image, 0 to 1, that the victim fills, seen by a robot at `pose`."""
+        """Return the fraction of the image, 0 to 1, that the victim fills."""
         return float(np.mean(self._labels(pose, tilt) == VICTIM))
 
     def overhead(self, pose: Pose) -> NDArray[np.uint8]:
-        """Return what the camera above the scene sees of a robot at `pose`; a `LookupError` where there is none."""
+        """Render the overhead image of a robot at `pose`; raises LookupError without a camera."""
         if self._above is None:
             raise LookupError("this place has no overhead camera")
         self._put_robot(pose)
         self._scene.update_render()
         self._above.take_picture()
-        # The scene is no longer the one in the robot's own picture.
+        # The scene no longer matches the image of the robot's own camera.
         self._seen_from = None
         return _colour(self._above)
 
     def _labels(self, pose: Pose, tilt: Tilt) -> NDArray[np.uint8]:
-        """Return what each rendered pixel shows: `NOTHING`, `SKY`, `STILL`, `VICTIM` or `ROBOT`."""
+        """Return the label of each pixel: `NOTHING`, `SKY`, `STILL`, `VICTIM` or `ROBOT`."""
         self._look_from(pose, tilt)
         return np.asarray(self._camera.get_picture("Color")[..., 3])
 
@@ -168,7 +172,7 @@ class SceneCamera:
         self._robot.set_pose(self._sapien.Pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
 
     def _body(self, surfaces: Sequence[Surface], label: int) -> Any:
-        """Return a body of all the surfaces, whose pixels carry `label`; each picture is one material."""
+        """Build a body of the surfaces with a pixel `label`; each picture is one material."""
         render = self._sapien.render
         materials = dict[int, Any]()
         body = render.RenderBodyComponent()
@@ -191,7 +195,7 @@ class SceneCamera:
         camera = self._lens(mount.width_px, mount.height_px, mount.focal_px)
         cos = math.cos(math.radians(mount.up_deg))
         sin = math.sin(math.radians(mount.up_deg))
-        # Its axes ahead, to the left and up, and where it hangs, are the columns.
+        # Columns: axes ahead, to the left and up, and position.
         frame = np.eye(4)
         frame[:3, :3] = np.transpose([(0.0, 0.0, -1.0), (-sin, cos, 0.0), (cos, sin, 0.0)])
         frame[:3, 3] = mount.x_m, mount.y_m, mount.height_m
@@ -224,7 +228,7 @@ def _material(render: Any, surface: Surface, label: int) -> Any:
 
 
 def _turn(heading: float, tilt: Tilt = LEVEL) -> NDArray[np.float64]:
-    """Return a heading, and a tilt on top of it, as a unit quaternion (w, x, y, z)."""
+    """Return heading and tilt as a unit quaternion (w, x, y, z)."""
     turn = Rotation.from_euler("ZYX", [heading + tilt.yaw, tilt.pitch, tilt.roll])
     return np.asarray(turn.as_quat(scalar_first=True))
 

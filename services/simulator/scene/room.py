@@ -1,4 +1,4 @@
-"""A room as a scene: floor, walls and ceiling, furniture, what hangs on the walls, and lamps."""
+"""Scene of a room: floor, walls, ceiling, furniture, wall fittings and lamps."""
 
 from collections.abc import Iterator
 from typing import Final, get_args
@@ -24,15 +24,15 @@ from services.simulator.variation import Daylight
 from services.simulator.world.place import Rgb
 from services.simulator.world.room import Fitting, FittingKind, Room, Wall
 
-# Lamps above light level things most; the windows' light, from the north, keeps upright things apart from each other.
+# Lamps light mostly level surfaces; window light from the north separates upright surfaces.
 _AMBIENT: Final = (0.5, 0.5, 0.49)
 _LAMPS: Final[tuple[tuple[Vector, Vector], ...]] = (
     ((0.12, 0.18, -0.97), (1.15, 1.13, 1.08)),
     ((0.25, -0.9, -0.35), (0.62, 0.66, 0.72)),
     ((-0.85, 0.35, -0.3), (0.34, 0.33, 0.3)),
 )
-_CEILING_M: Final = 2.4  # The ceiling's picture is four tiles of 0.6 m wide.
-#: How far each kind stands off the wall.
+_CEILING_M: Final = 2.4  # Period of the ceiling's picture, four tiles of 0.6 m.
+#: Distance of each kind from the wall.
 _THICK_M: Final[dict[FittingKind, float]] = {
     "door": 0.03,
     "poster": 0.004,
@@ -48,7 +48,7 @@ _PIXELS_PER_M: Final = 256
 _SHADE_PIXELS_PER_M: Final = 48
 _LARGEST_PX: Final = 4096
 _SHEET_M: Final = 2.0
-#: Depth of the shade beside what stands on the floor, and how far it reaches; the same under and around what is above.
+#: Strength and reach of the contact shadow beside things on the floor, and under things above it.
 _CONTACT: Final = (0.5, 0.07)
 _AROUND: Final = (0.42, 0.22)
 _SEED: Final = 11
@@ -56,7 +56,7 @@ _LINO: Final = (150, 156, 156)
 
 
 def build(room: Room, light: Daylight) -> SceneSurfaces:
-    """Make the meshes and pictures of a room."""
+    """Build the meshes and pictures of a room."""
     furniture = (piece for one in room.furniture for piece in furnish(one))
     hung = (piece for fitting in room.fittings for piece in hang(fitting, room))
     x = room.east_west_m
@@ -64,14 +64,14 @@ def build(room: Room, light: Daylight) -> SceneSurfaces:
     corners = [(0.0, 0.0, 0.0), (x, 0.0, 0.0), (x, y, 0.0), (0.0, y, 0.0)]
     tag = room.robot.tag
     return SceneSurfaces(
-        # As bright and in the colour that the time of day gives them.
+        # The daylight scales intensity and colour.
         ambient=_times(_AMBIENT, light.lamps),
         lights=tuple((to, _times(colour, light.lamps)) for to, colour in _LAMPS),
-        # What is in front comes first, so that what is behind it need not be drawn there.
+        # Front to back, so that hidden pixels are skipped.
         still=(
             *surfaces([*furniture, *hung]),
             *walls(room),
-            # Outsides only are drawn, so a camera above the ceiling looks through.
+            # Back faces are culled, so a camera above the ceiling sees through it.
             Surface(
                 flat(shapely.box(*room.bounds), room.walls_m, _CEILING_M).flipped(),
                 paint_ceiling(),
@@ -102,7 +102,7 @@ def walls(room: Room) -> Iterator[Surface]:
 
 
 def hang(fitting: Fitting, room: Room) -> tuple[Piece, Piece]:
-    """Return a fitting's face and the rim about it."""
+    """Return the face and the rim of a fitting."""
     wall, _ = room.wall(fitting.wall)
     thick = _THICK_M[fitting.kind]
     face = front(*fitting.face(thick)).placed(wall)
@@ -111,7 +111,7 @@ def hang(fitting: Fitting, room: Room) -> tuple[Piece, Piece]:
 
 
 def paint_floor(room: Room) -> NDArray[np.uint8]:
-    """Return the picture of the whole floor, its upper edge in the north, with the shade that lies on it."""
+    """Paint the whole floor with its shadows, upper edge in the north."""
     shape = _pixels(room.north_south_m), _pixels(room.east_west_m)
     across = (np.arange(shape[1])[None, :] + 0.5) / shape[1] * room.east_west_m
     rng = np.random.default_rng(_SEED)
@@ -130,10 +130,10 @@ def paint_floor(room: Room) -> NDArray[np.uint8]:
 
 
 def floor_light(room: Room) -> NDArray[np.float64]:
-    """Return which share of the light reaches the floor, 0 to 1, (rows, columns), the first row in the north.
+    """Return the light that reaches the floor, 0 to 1, (rows, columns), first row in the north.
 
-    Whatever stands on the floor, walls too, keeps light off close to it; whatever is above the floor, tables too,
-    does so softly under and around it.
+    Walls and things on the floor cast a short shadow. Things above the floor, such as tables, cast
+    a soft shadow under and around them.
     """
     x_min, y_min, x_max, y_max = room.bounds
     scale = _SHADE_PIXELS_PER_M
@@ -146,7 +146,7 @@ def floor_light(room: Room) -> NDArray[np.float64]:
             scale,
             -scale,
         )
-        # Points are centres of pixels, in sixteenths.
+        # Coordinates of pixel centres, in sixteenths.
         corners = np.round((ring - 0.5) * 16).astype(np.int32)
         cv2.fillPoly(above, [corners], 1, cv2.LINE_8, 4)
         if low_m == 0.0:
@@ -161,7 +161,7 @@ def floor_light(room: Room) -> NDArray[np.float64]:
 
 
 def paint_wall(colour: Rgb, length_m: float, height_m: float, seed: int) -> NDArray[np.uint8]:
-    """Return the picture of one painted wall with its skirting: a little uneven, darker in corners and to the floor."""
+    """Paint a wall with its skirting, slightly uneven, darker in corners and near the floor."""
     shape = min(_pixels(height_m) // 4, 512), min(_pixels(length_m) // 4, 1024)
     rng = np.random.default_rng([_SEED, seed])
     up = (np.arange(shape[0])[::-1, None] + 0.5) / shape[0] * height_m
@@ -180,7 +180,7 @@ def paint_wall(colour: Rgb, length_m: float, height_m: float, seed: int) -> NDAr
 
 
 def paint_ceiling() -> NDArray[np.uint8]:
-    """Return four by four mineral tiles with a row of two lamps among them, seamless."""
+    """Paint four by four mineral tiles with a row of two lamps, seamless."""
     rng = np.random.default_rng(_SEED)
     size = 512
     tile = 128
@@ -194,13 +194,13 @@ def paint_ceiling() -> NDArray[np.uint8]:
 
 
 def _pixels(metres: float) -> int:
-    """Return a power of two of pixels that is enough for a length."""
+    """Return the power of two of pixels that covers a length."""
     return int(min(2 ** np.ceil(np.log2(metres * _PIXELS_PER_M)), _LARGEST_PX))
 
 
 def _sheet(
     rng: np.random.Generator, shape: tuple[int, ...], grain_px: tuple[float, float]
 ) -> NDArray[np.float64]:
-    """Return noise of a shape, repeated after 1024 pixels, since making noise is slow."""
+    """Return noise of a shape, repeated after 1024 pixels, since noise is slow."""
     rows, columns = (min(count, 1024) for count in shape)
     return np.tile(noise(rng, (rows, columns), grain_px), (shape[0] // rows, shape[1] // columns))

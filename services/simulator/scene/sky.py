@@ -1,4 +1,4 @@
-"""The picture of the sky and of what lies at the horizon: clouds are of a day, the skyline is the same on all."""
+"""Picture of sky and horizon; clouds differ by seed, the skyline is constant."""
 
 from functools import lru_cache
 from typing import Final
@@ -10,7 +10,7 @@ from services.simulator.scene.textures import Picture, as_picture, layered, nois
 from services.simulator.variation import Daylight
 
 _SKY_SHAPE: Final = (1024, 4096)
-#: Elevation in degrees at the top and at the bottom of the picture.
+#: Elevation at the top and the bottom of the picture, degrees.
 TOP_DEG: Final = 90.0
 BOTTOM_DEG: Final = -10.0
 _FAIR_HORIZON: Final = np.array([206.0, 218.0, 228.0])
@@ -21,7 +21,7 @@ _TREES: Final = np.array([86.0, 104.0, 78.0])
 
 @lru_cache(maxsize=2)
 def paint_sky(seed: int, light: Daylight) -> Picture:
-    """Return the whole horizon (1024, 4096, 3), seamless to the sides, from 90 degrees up to 10 below."""
+    """Paint the panorama (1024, 4096, 3), seamless to the sides, from 90 degrees up to 10 below."""
     rng = np.random.default_rng(seed)
     clouds = np.random.default_rng([seed, light.clouds_seed])
     elevation = np.linspace(TOP_DEG, BOTTOM_DEG, _SKY_SHAPE[0])[:, None]
@@ -30,13 +30,13 @@ def paint_sky(seed: int, light: Daylight) -> Picture:
     zenith = np.array(light.zenith)
     sky = horizon + (zenith - horizon) * up**0.55
     cloud = np.clip(light.clouds * _clouds(clouds, elevation), 0, 1)
-    # Clouds and far land are lit by the same light: as bright as the horizon, and of its colour.
+    # Clouds and distant land have the brightness and colour of the horizon.
     tint = horizon / _FAIR_HORIZON
     hills = _skyline(rng, 3.2, 1.1, 90.0)
     lit = 1.0 + 0.10 * noise(rng, _SKY_SHAPE, 5.0)
     trees = _skyline(rng, 1.2, 0.45, 12.0)
     picture = np.empty((*_SKY_SHAPE, 3), dtype=np.uint8)
-    # Row by row: as numbers the whole picture is 100 MB, and takes twice the time.
+    # Row by row: the whole picture as floats takes 100 MB and twice the time.
     for row, level in enumerate(elevation):
         covered = cloud[row, :, None]
         colours = sky[row] * (1 - covered) + _CLOUDS * tint * covered
@@ -48,7 +48,7 @@ def paint_sky(seed: int, light: Daylight) -> Picture:
 
 
 def _clouds(rng: np.random.Generator, elevation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how much cloud covers each place, 0 to 1; clouds are flat and crowd towards the horizon."""
+    """Return the cloud cover, 0 to 1; clouds are flat and dense near the horizon."""
     billows = 0.7 * noise(rng, _SKY_SHAPE, (60.0, 200.0)) + 0.45 * layered(
         rng, _SKY_SHAPE, (14.0, 40.0)
     )
@@ -59,7 +59,7 @@ def _clouds(rng: np.random.Generator, elevation: NDArray[np.float64]) -> NDArray
 def _skyline(
     rng: np.random.Generator, mean_deg: float, spread_deg: float, grain_px: float
 ) -> NDArray[np.float64]:
-    """Return the elevation in degrees of a rugged line around the horizon, (width,)."""
+    """Return the elevation (width,) of a rugged skyline, degrees."""
     line = noise(rng, (1, _SKY_SHAPE[1]), (1.0, grain_px)) + 0.3 * noise(
         rng, (1, _SKY_SHAPE[1]), (1.0, 4.0)
     )

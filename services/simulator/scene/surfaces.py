@@ -1,4 +1,4 @@
-"""What a scene is made of: lights, and surfaces that wear a material or the picture of a face."""
+"""Elements of a scene: lights, and surfaces with a material or the picture of a face."""
 
 from collections import defaultdict
 from collections.abc import Iterable
@@ -18,7 +18,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A mesh and the picture that it wears, (h, w, 3) uint8 RGB; `glows` for what needs no light."""
+    """A mesh with a picture, (h, w, 3) uint8 RGB; `glows` disables lighting."""
 
     mesh: Mesh
     picture: Picture
@@ -26,30 +26,28 @@ class Surface:
 
 
 class SceneSurfaces(NamedTuple):
-    """Everything to be drawn."""
+    """All surfaces and lights of a scene."""
 
-    ambient: Vector  # The light from everywhere.
-    lights: tuple[
-        tuple[Vector, Vector], ...
-    ]  # Those far away: the direction that each goes, and its colour.
-    still: tuple[Surface, ...]  # What never moves.
-    victim: tuple[Surface, ...]  # The victim, about its own origin, x forward.
-    decoys: tuple[tuple[Surface, ...], ...]  # What can lie in its place instead, of its size.
-    robot: tuple[
-        Surface, ...
-    ] = ()  # The robot, about its own origin, x forward; nothing where no camera sees it.
-    sky: Surface | None = None  # The dome that goes with the camera; None under a ceiling.
+    ambient: Vector  # Ambient light.
+    # Directional lights: direction and colour.
+    lights: tuple[tuple[Vector, Vector], ...]
+    still: tuple[Surface, ...]  # Static surfaces.
+    victim: tuple[Surface, ...]  # The victim about its own origin, x forward.
+    decoys: tuple[tuple[Surface, ...], ...]  # Things of the victim's size that can replace it.
+    # The robot about its own origin, x forward; empty without an overhead camera.
+    robot: tuple[Surface, ...] = ()
+    sky: Surface | None = None  # Dome that moves with the camera; None under a ceiling.
 
 
 class Finish(NamedTuple):
-    """What a mesh wears: a material or a face by name, or a façade; `variant` is that of a face, or a façade's part."""
+    """Finish of a mesh: a material, a face with its variant, or a façade with its part."""
 
     wears: str | Facade
     colour: Rgb | None = None
     variant: int = 0
 
     def picture(self) -> Picture:
-        """Return it painted."""
+        """Paint the finish."""
         if isinstance(self.wears, Facade):
             return paint_facade(self.wears)[self.variant]
         if self.wears in FACES:
@@ -62,7 +60,7 @@ Piece = tuple[Finish, Mesh]
 
 
 def surfaces(pieces: Iterable[Piece]) -> tuple[Surface, ...]:
-    """Return one surface for each finish; those of a façade follow each other, and windows of rooms glow."""
+    """Merge the pieces of each finish into one surface; windows of rooms glow."""
     meshes: dict[Finish, list[Mesh]] = defaultdict(list)
     for finish, mesh in pieces:
         meshes[finish].append(mesh)

@@ -1,4 +1,4 @@
-"""Pictures of materials, (h, w, 3) uint8 RGB: seamless, the same in every run."""
+"""Seamless, reproducible pictures of materials, (h, w, 3) uint8 RGB."""
 
 import zlib
 from collections.abc import Callable
@@ -22,14 +22,14 @@ _PLAIN_SHAPE: Final = (64, 64)
 def noise(
     rng: np.random.Generator, shape: tuple[int, int], grain_px: float | tuple[float, float]
 ) -> NDArray[np.float64]:
-    """Return smooth seamless noise, mean 0 and standard deviation 1; `grain_px` is the size of its blobs."""
+    """Return smooth seamless noise, mean 0, standard deviation 1, with blobs of `grain_px`."""
     down, across = grain_px if isinstance(grain_px, tuple) else (grain_px, grain_px)
     frequency_down = np.fft.fftfreq(shape[0])[:, None]
     frequency_across = np.fft.rfftfreq(shape[1])
-    # Of what is finer the filter lets less than 1e-15 through: it is left out, which halves the time.
+    # Higher frequencies pass by less than 1e-15; omitting them halves the time.
     frequency_across = frequency_across[frequency_across * across < 4.2]
     keep = np.exp(-2.0 * ((frequency_down * down) ** 2 + (frequency_across * across) ** 2))
-    # Filtering by a product of spectra is a circular convolution, which is what makes the edges meet.
+    # A product of spectra is a circular convolution, so the edges match.
     spectrum = (
         np.fft.fft(np.fft.rfft(rng.standard_normal(shape))[:, : frequency_across.size], axis=0)
         * keep
@@ -42,7 +42,7 @@ def noise(
 def layered(
     rng: np.random.Generator, shape: tuple[int, int], grains_px: ArrayLike
 ) -> NDArray[np.float64]:
-    """Return the sum of noises of several grains, coarse ones weighing more; standard deviation about 1."""
+    """Sum noises of several grains, coarse grains weighted more; standard deviation about 1."""
     grains = np.atleast_1d(np.asarray(grains_px, dtype=np.float64))
     weights = np.sqrt(grains / grains.sum())
     return np.asarray(
@@ -55,26 +55,26 @@ def layered(
 
 
 def coloured(colour: ArrayLike, shade: NDArray[np.float64]) -> Picture:
-    """Return a picture (h, w, 3) of one RGB colour, made lighter or darker by the factors `shade` (h, w)."""
+    """Scale an RGB colour by the factors `shade` (h, w) into a picture (h, w, 3)."""
     return as_picture(np.asarray(colour, dtype=np.float64) * shade[..., None])
 
 
 def tinted(picture: Picture, colour: ArrayLike) -> Picture:
-    """Return a picture (h, w, 3) in another colour: its mean becomes that RGB colour, its light and shade stay."""
+    """Recolour a picture (h, w, 3): its mean becomes the RGB colour, shading stays."""
     grey = picture.astype(np.float64).mean(axis=2)
     return coloured(colour, grey / max(float(grey.mean()), 1.0))
 
 
 def as_picture(values: NDArray[np.float64]) -> Picture:
-    """Return values as a picture, cut to 0 to 255."""
+    """Clip values to 0 to 255 and convert them to a picture."""
     return np.clip(values, 0, 255).astype(np.uint8)
 
 
 @lru_cache(maxsize=64)
 def paint(material: str) -> Picture:
-    """Return the picture of a material of the table `materials`, (h, w, 3) uint8 RGB with h and w powers of two."""
+    """Paint a material of the table `materials`, (h, w, 3) uint8 RGB; h and w are powers of two."""
     how = dict(_MATERIALS[material])
-    # A seed of its own, so that adding a material changes no other.
+    # A separate seed for each material, so that a new material changes no other.
     return _PAINTERS[how.pop("painter")](
         np.random.default_rng(zlib.crc32(material.encode())), **how
     )
@@ -83,7 +83,7 @@ def paint(material: str) -> Picture:
 def _rough(
     rng: np.random.Generator, colour: Rgb, layers: list[tuple[float, float, float]], cracks: int = 0
 ) -> Picture:
-    """Paint unevenness: of each layer how high and how wide its blobs are, pixels, and how strong; and cracks on it."""
+    """Paint layers of noise (blob height, blob width in pixels, strength), and cracks."""
     shades = (contrast * noise(rng, _SHAPE, (down, across)) for down, across, contrast in layers)
     picture = coloured(colour, 1.0 + sum(shades, np.zeros(_SHAPE)))
     for _ in range(cracks):
@@ -117,7 +117,7 @@ def _paving(
     contrast: float = 0.05,
     upright: bool = False,
 ) -> Picture:
-    """Paint slabs in rows and columns, with dark joints; `running` shifts every other row, `upright` turns all."""
+    """Paint slabs with dark joints; `running` shifts every other row, `upright` rotates all."""
     rows, columns = grid
     height = _SHAPE[0] // rows
     width = _SHAPE[1] // columns
@@ -129,8 +129,8 @@ def _paving(
     for row in range(1, rows, 2) if running else ():
         band = slice(row * height, (row + 1) * height)
         picture[band] = np.roll(picture[band], width // 2, axis=1)
-    made = coloured(colour, picture * (1.0 + contrast * layered(rng, _SHAPE, (1.5, 30.0))))
-    return np.rot90(made, -1) if upright else made
+    slabs = coloured(colour, picture * (1.0 + contrast * layered(rng, _SHAPE, (1.5, 30.0))))
+    return np.rot90(slabs, -1) if upright else slabs
 
 
 def _leaves(rng: np.random.Generator, colour: Rgb) -> Picture:

@@ -1,4 +1,4 @@
-"""Find a Vulkan driver before the renderer looks for one, and say plainly when there is none."""
+"""Choose a Vulkan driver before the renderer does, and report a missing driver."""
 
 import ctypes.util
 import os
@@ -16,17 +16,17 @@ INSTALL: Final = "install Mesa 24.3 or newer: apt-get install mesa-vulkan-driver
 
 
 class UnavailableError(JobError):
-    """The machine cannot render, or has no SAPIEN; the text says what to install."""
+    """The machine cannot render, or SAPIEN is missing; the message names the package to install."""
 
 
 def cannot_render(error: RuntimeError) -> UnavailableError:
-    """Return the error of a driver that is there and fails."""
+    """Return the error of an installed driver that fails."""
     return UnavailableError(f"the Vulkan driver cannot render ({error}); {INSTALL}")
 
 
 @lru_cache
 def load_sapien(*, rendering: bool = True) -> Any:
-    """Return SAPIEN, its Vulkan driver chosen first; UnavailableError where one of them is missing."""
+    """Import SAPIEN after choosing a Vulkan driver; raises UnavailableError if one is missing."""
     try:
         _prepare()
     except UnavailableError:
@@ -47,8 +47,10 @@ def load_sapien(*, rendering: bool = True) -> Any:
 
 def _prepare() -> None:
     if ctypes.util.find_library("vulkan") is None:
-        raise UnavailableError(f"no Vulkan loader (libvulkan.so.1); {INSTALL} and libvulkan1")
-    # Without a graphics device a GPU's driver is of no use.
+        raise UnavailableError(
+            f"Vulkan loader (libvulkan.so.1) not found; {INSTALL} and libvulkan1"
+        )
+    # A GPU driver needs a graphics device.
     gpu = Path("/dev/nvidiactl").exists() or any(Path("/dev/dri").glob("renderD*"))
     driver = choose_driver(os.environ, DRIVER_FOLDERS, gpu)
     if driver is not None:
@@ -58,13 +60,13 @@ def _prepare() -> None:
 def choose_driver(
     environment: Mapping[str, str], folders: Sequence[Path], gpu: bool
 ) -> Path | None:
-    """Return the software driver's file where there is no graphics device and no choice by the user; else None."""
+    """Return the software driver's file if there is no GPU and no choice by the user."""
     chosen = environment.get("VK_DRIVER_FILES") or environment.get("VK_ICD_FILENAMES")
     if chosen:
         missing = [name for name in chosen.split(os.pathsep) if not Path(name).is_file()]
         if missing:
             raise UnavailableError(
-                f"VK_ICD_FILENAMES names {missing[0]}, a missing file; unset it, or {INSTALL}"
+                f"VK_ICD_FILENAMES: {missing[0]} not found; unset it, or {INSTALL}"
             )
         return None
     installed = [path for folder in folders for path in sorted(folder.glob("*.json"))]
@@ -72,5 +74,5 @@ def choose_driver(
         return None
     software = [path for path in installed if path.match("lvp_icd*.json")]
     if not software:
-        raise UnavailableError(f"no Vulkan driver found; {INSTALL}")
+        raise UnavailableError(f"Vulkan driver not found; {INSTALL}")
     return software[0]

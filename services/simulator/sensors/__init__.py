@@ -1,1 +1,1 @@
-"""What the robot senses: its camera, its wheels, its tilt."""
+"""Sensors of the simulated robot."""

@@ -1,4 +1,4 @@
-"""The robot's camera: what it is asked for, what air, motion and exposure do to its picture, and a moment of it all."""
+"""The robot's camera: settings, image effects (haze, blur, exposure), and views."""
 
 import math
 from collections.abc import Callable, Collection, Iterator
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from schemas.base import Message
 from schemas.camera import Calibration, DepthImage, Mounting, OverheadImage
-from schemas.motion import Pose as PoseMessage
+from schemas.motion import TruePose
 from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.robot.body import ImuReading, OdometryReading
@@ -22,24 +22,23 @@ from services.simulator.variation import DAY, Daylight, Variation
 from services.simulator.world.place import OverheadMount, Pose, World
 from smal.obstacles.clearance import Mount
 
-FIELD_OF_VIEW_DEG: Final = 75.0  # How wide the robot's camera sees.
-FOCAL: Final = 0.5 / math.tan(
-    math.radians(FIELD_OF_VIEW_DEG) / 2
-)  # Its focal length over the image's width.
-# Time over which one picture collects light; what moves meanwhile is blurred.
+FIELD_OF_VIEW_DEG: Final = 75.0  # Horizontal field of view.
+# Focal length in image widths.
+FOCAL: Final = 0.5 / math.tan(math.radians(FIELD_OF_VIEW_DEG) / 2)
+# Exposure time of an image; motion during it blurs the image.
 _EXPOSURE_S: Final = 0.02
-# Less than this moves no pixel visibly.
+# Smallest visible motion of a pixel.
 _LEAST_PX: Final = 0.25
-# Pixels from one of the averaged pictures to the next: as the pictures are interpolated, no step shows.
+# Step between averaged images, pixels; interpolation hides it.
 _STEP_PX: Final = 1.5
 # Koschmieder: at the visibility, 5 % of the contrast is left.
 _CONTRAST_AT_VISIBILITY: Final = 0.05
-VISIBLE_FRACTION: Final = 0.0005  # Fraction of the image that the victim must fill to be seen.
+VISIBLE_FRACTION: Final = 0.0005  # Minimum fraction of the image that a visible victim fills.
 
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """The robot's camera: image size in pixels, and in what light."""
+    """Image size in pixels, and light."""
 
     width: int = 1024
     height: int = 768
@@ -47,14 +46,14 @@ class CameraSettings:
 
 
 def blur(image: NDArray[np.uint8], rate: Tilt, focal_px: float) -> NDArray[np.uint8]:
-    """Return the image as it is while the camera turns: the mean of its pictures along every pixel's path.
+    """Blur an image by the camera's rotation: the mean along the path of every pixel.
 
-    To the left moves the picture (height, width, 3) to the right, downwards moves it up, and a roll turns it about its
-    middle; for angles this small that is the same for everything in view, near or far. Edges are continued outwards;
-    where nothing moves visibly, it is the image itself.
+    Yaw to the left shifts the image (height, width, 3) to the right, a downward pitch shifts it up,
+    and roll rotates it about its middle. For such small angles this holds at every depth. Edges are
+    continued outwards. Without visible motion the image is returned unchanged.
     """
     height, width = image.shape[:2]
-    turn_rad, down_rad, left_rad = (_EXPOSURE_S * one for one in rate)
+    turn_rad, down_rad, left_rad = (_EXPOSURE_S * angle for angle in rate)
     right_px = focal_px * left_rad
     down_px = -focal_px * down_rad
     longest_px = math.hypot(right_px, down_px) + abs(turn_rad) * math.hypot(width, height) / 2
@@ -78,7 +77,10 @@ def hazy(
     visibility_m: float,
     colour: tuple[float, float, float],
 ) -> NDArray[np.uint8]:
-    """Return an image (h, w, 3) in haze of a colour (Koschmieder's law); `depth_m` (h, w), infinity for the sky."""
+    """Add haze (Koschmieder's law) to an image (h, w, 3).
+
+    `depth_m` has shape (h, w), in metres, with infinity for the sky; `colour` is the haze's RGB.
+    """
     through = np.exp(depth_m * np.float32(np.log(_CONTRAST_AT_VISIBILITY) / visibility_m))[
         ..., None
     ]
@@ -88,7 +90,7 @@ def hazy(
 
 @lru_cache(maxsize=16)
 def exposure(stops: float) -> NDArray[np.uint8]:
-    """Return what the 256 values of sRGB become when exposed `stops` more, through linear light (IEC 61966-2-1)."""
+    """Return a table (256,) that exposes sRGB by `stops` more (IEC 61966-2-1)."""
     encoded = np.arange(256) / 255
     linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     brighter = np.clip(linear * 2.0**stops, 0, 1)
@@ -97,62 +99,62 @@ def exposure(stops: float) -> NDArray[np.uint8]:
 
 
 class Lens(Protocol):
-    """What renders the pictures of a world."""
+    """Interface of a renderer of a world."""
 
     @property
     def focal_px(self) -> float:
-        """Focal length, pixels of the picture."""
+        """Focal length, pixels."""
 
     def walk(self, people: tuple[Pose, ...]) -> None:
-        """Put people where they are."""
+        """Set the poses of the people."""
 
     def render(self, pose: Pose, tilt: Tilt) -> NDArray[np.uint8]:
-        """Return the picture (height, width, 3) from a pose, RGB."""
+        """Render the image (height, width, 3), RGB."""
 
     def depth_m(self, pose: Pose, tilt: Tilt) -> NDArray[np.float32]:
-        """Return the depth (height, width) along the camera's axis, metres or infinity."""
+        """Render the depth (height, width) along the optical axis, metres or infinity."""
 
     def overhead(self, pose: Pose) -> NDArray[np.uint8]:
-        """Return the picture of the camera above, with the robot at a pose."""
+        """Render the image of the overhead camera with the robot at a pose."""
 
     def victim_pixels(self, pose: Pose, tilt: Tilt) -> float:
-        """Return which share of the picture the victim fills."""
+        """Return the fraction of the image that the victim fills."""
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedView:
-    """One moment of the simulated robot, as `services.robot.body.View` asks for it."""
+    """One moment of the simulated robot, an implementation of `services.robot.body.View`."""
 
     world: World
     lens: Lens
     variation: Variation
-    pose: Pose  # Where the robot truly is.
+    pose: Pose  # Ground truth.
     tilt: Tilt
-    tilt_rate: Tilt  # How the camera shakes.
-    contact: bool  # Whether the robot has touched anything since the reset.
+    tilt_rate: Tilt  # Shake of the camera.
+    contact: bool  # Whether the robot has touched an obstacle since the reset.
     odometry: OdometryReading
     imu: tuple[ImuReading, ...]
-    victim: Pose | None  # Where the victim truly lies.
-    people: tuple[Pose, ...]  # Where people truly are.
-    mount: Mount | None  # How its depth camera sits, if it has one.
-    captured_s: float = 0.0  # When, by the actuator's clock.
+    victim: Pose | None  # Ground truth.
+    people: tuple[Pose, ...]  # Ground truth.
+    mount: Mount | None  # Mounting of the depth camera, if present.
+    captured_s: float = 0.0  # Capture time on the actuator's clock.
     wanted: Callable[[Topic], bool] = lambda _topic: False
-    """Whether anybody listens to a topic whose messages are costly."""
+    """Returns whether a topic has subscribers; checked for expensive messages."""
 
     @property
     def camera(self) -> Lens:
-        """Its camera, with the people where they were."""
+        """The camera, with the people at their positions of this moment."""
         self.lens.walk(self.people)
         return self.lens
 
     @cached_property
     def jpeg(self) -> bytes:
-        """What the camera tells, as JPEG."""
+        """Camera image as JPEG."""
         return encode_jpeg(self._rendered())
 
     @cached_property
     def image(self) -> NDArray[np.uint8]:
-        """What the camera tells, (height, width, 3) uint8 RGB: what is decoded of its JPEG."""
+        """Camera image (height, width, 3), uint8 RGB, decoded from its JPEG."""
         return decode_jpeg(self.jpeg)
 
     def _rendered(self) -> NDArray[np.uint8]:
@@ -168,33 +170,33 @@ class SimulatedView:
 
     @cached_property
     def depth_m(self) -> NDArray[np.float32]:
-        """How far along the camera's axis each pixel of its image is, (height, width) metres or `inf`."""
+        """Depth of each pixel along the optical axis, (height, width), metres or `inf`."""
         return self.camera.depth_m(self.pose, self.tilt)
 
     @cached_property
     def depth(self) -> NDArray[np.float32] | None:
-        """What the depth camera measures of that, a smaller image, metres; 0 where nothing."""
+        """Measurement of the depth camera, a smaller image, metres; 0 where invalid."""
         return None if self.mount is None else measured(self.depth_m, self.mount.focal)
 
     @cached_property
     def overhead(self) -> NDArray[np.uint8]:
-        """What the camera above the scene sees, (height, width, 3) RGB; a `LookupError` where there is none."""
+        """Image of the overhead camera, (height, width, 3); LookupError without it."""
         return self.camera.overhead(self.pose)
 
     @cached_property
     def victim_found(self) -> bool:
-        """Whether the victim is near and in view; the image is only searched when near."""
+        """Whether the victim is near and in view; the image is rendered only near the victim."""
         near = self.victim is not None and self.near(self.victim)
         return near and self.camera.victim_pixels(self.pose, self.tilt) >= VISIBLE_FRACTION
 
     def near(self, place: Pose) -> bool:
-        """Return whether a place is so near that it counts as found."""
+        """Return whether a place is within the distance of a found victim."""
         return math.hypot(place.x - self.pose.x, place.y - self.pose.y) <= self.world.scale.found_m
 
     def more(self, header: Message, made: Collection[str] = ()) -> Iterator[Message]:
-        """Make the message of the true pose, and those of pictures that are costly and seldom listened to."""
-        if PoseMessage.topic not in made:
-            yield PoseMessage.after(
+        """Yield the true pose, and the images that have subscribers, except messages in `made`."""
+        if TruePose.topic not in made:
+            yield TruePose.after(
                 header, x_m=self.pose.x, y_m=self.pose.y, heading_rad=self.pose.heading
             )
         if (
@@ -210,7 +212,7 @@ class SimulatedView:
 
 
 def depth_message(header: Message, depth_m: NDArray[np.float32], mount: Mount) -> DepthImage:
-    """Make the message of what a depth camera measured, (height, width) metres, 0 where nothing."""
+    """Build the message of a depth image (height, width), metres, 0 where invalid."""
     rows, columns = depth_m.shape
     millimetres = np.rint(1000 * depth_m).astype("<u2").tobytes()
     return DepthImage.after(
@@ -221,7 +223,7 @@ def depth_message(header: Message, depth_m: NDArray[np.float32], mount: Mount) -
 def overhead_message(
     header: Message, image: NDArray[np.uint8], mount: OverheadMount
 ) -> OverheadImage:
-    """Make the message of the overhead camera's image, (height, width, 3), with how that camera sees."""
+    """Build the message of an overhead image (height, width, 3) with its calibration."""
     height, width, _ = image.shape
     calibration = Calibration(
         focal_px=mount.focal_px, centre_x_px=width / 2, centre_y_px=height / 2, x_m=mount.x_m, y_m=mount.y_m,
@@ -233,20 +235,20 @@ def overhead_message(
 
 
 class FindVictim:
-    """The task of every simulated world: the victim is near and in view; or the goal is where a person said."""
+    """Task of every simulated world: reach the victim, or the places that an operator marked."""
 
     def __init__(self) -> None:
-        self._told: dict[tuple[str, str], list[Pose]] = {}
+        self._marked: dict[tuple[str, str], list[Pose]] = {}
 
     def reached(self, view: SimulatedView, goal: str = "victim") -> bool:
-        """Return whether a frame shows it so."""
-        places = self._told.get((view.world.name, goal))
+        """Return whether the view shows the goal reached."""
+        places = self._marked.get((view.world.name, goal))
         return view.victim_found if places is None else any(map(view.near, places))
 
     def gone(self, view: SimulatedView, goal: str) -> bool:
-        """Return whether the victim lies nowhere."""
-        return view.victim is None and (view.world.name, goal) not in self._told
+        """Return whether the victim is absent."""
+        return view.victim is None and (view.world.name, goal) not in self._marked
 
     def told(self, view: SimulatedView, goal: str) -> None:
-        """Take a place from a person."""
-        self._told.setdefault((view.world.name, goal), []).append(view.pose)
+        """Add a goal that an operator marked."""
+        self._marked.setdefault((view.world.name, goal), []).append(view.pose)

@@ -1,7 +1,7 @@
-"""The robot's depth camera: a pair of infrared eyes, with the noise and the holes that such a pair has.
+"""Model of a stereo depth camera with noise and holes, after the Intel RealSense D435.
 
-After the Intel RealSense D435, the usual one on small robots: it measures how far a speck is shifted from one eye to
-the other, so that its error grows with the square of the distance, and tells nothing of what one eye does not see.
+The camera measures the disparity between two infrared imagers. Its error therefore grows with the
+square of the distance, and points that only one imager sees have no depth.
 """
 
 import math
@@ -12,30 +12,40 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-#: Largest depth image, pixels, and the farthest depth that is told: 16 bits of millimetres end there.
+#: Largest depth image, pixels, and largest depth: 16 bits of millimetres end there.
 _MOST_COLUMNS = 320
 _MOST_ROWS = 240
 _FARTHEST_M: Final = 65.0
-#: Between its eyes, and what is too near for both, metres.
+#: Stereo baseline and minimum depth, metres.
 _EYES_M = 0.05
 _NEAREST_M = 0.28
-#: Error of a shift, of an image 848 pixels wide, pixels: 1.2 % at 4 m, as Intel tells of it less than 2 % at 2 m.
+#: Disparity error in an image 848 pixels wide: 1.2 % at 4 m (Intel specifies under 2 % at 2 m).
 _SHIFT_PX = 0.08
 _SHIFT_WIDTH_PX = 848
-_PATCH_PX: Final = 4  # Neighbours err alike, over so many pixels of the small image.
-#: Share of patches without texture that tell nothing near by, and how much more a metre further on.
+_PATCH_PX: Final = 4  # Size of the patches with correlated errors, pixels of the small image.
+#: Probability of an invalid patch without texture at 0 m, and its increase for each metre.
 _HOLES = 0.01
 _HOLES_A_M = 0.005
 
 
 def measured(depth_m: NDArray[np.float32], focal: float) -> NDArray[np.float32]:
-    """Return what is measured of a true depth image (height, width), metres, as a small image; 0 where nothing is.
+    """Simulate the measurement of a true depth image.
 
-    `focal` is the focal length over the width. The same image is measured the same way.
+    Parameters
+    ----------
+    depth_m : array of shape (height, width)
+        True depth, metres.
+    focal : float
+        Focal length in image widths.
+
+    Returns
+    -------
+    array of shape (rows, columns)
+        Measured depth, metres, 0 where invalid. The same input gives the same output.
     """
     height, width = depth_m.shape
     every = max(1, math.ceil(width / _MOST_COLUMNS), math.ceil(height / _MOST_ROWS))
-    # From the middle of each block, so that a pixel of the small image looks where its block does.
+    # Sample the middle of each block, so that a small pixel has its block's viewing direction.
     true_m = depth_m[every // 2 :: every, every // 2 :: every]
     true_m = np.where((true_m <= _FARTHEST_M) & (true_m >= _NEAREST_M), true_m, np.float32(0.0))
     rows, columns = true_m.shape
@@ -49,16 +59,18 @@ def measured(depth_m: NDArray[np.float32], focal: float) -> NDArray[np.float32]:
         )
     )
     share = _SHIFT_PX / (_SHIFT_WIDTH_PX * focal * _EYES_M)
-    told_m = true_m * (1.0 + share * true_m * error)
+    noisy_m = true_m * (1.0 + share * true_m * error)
     lost = (hole < _HOLES + _HOLES_A_M * true_m) | _seen_by_one(true_m, focal * columns * _EYES_M)
-    return np.where(lost | (true_m == 0.0) | (told_m > _FARTHEST_M), 0.0, told_m).astype(np.float32)
+    return np.where(lost | (true_m == 0.0) | (noisy_m > _FARTHEST_M), 0.0, noisy_m).astype(
+        np.float32
+    )
 
 
 def _seen_by_one(true_m: NDArray[np.float32], shift_px_m: float) -> NDArray[np.bool_]:
-    """Tell which pixels only one eye sees: the other one's view ends, or something nearer hides them from it."""
+    """Return the pixels that only one imager sees: outside the other's view, or occluded."""
     columns = np.arange(true_m.shape[1])
-    there = columns - np.where(true_m > 0.0, shift_px_m / np.maximum(true_m, _NEAREST_M), 0.0)
-    # Where they are in the other eye's picture, from left to right, but what hides them is there already.
-    nearest = np.minimum.accumulate(there[:, ::-1], axis=1)[:, ::-1]
-    hidden = np.append(nearest[:, 1:], np.full((len(there), 1), np.inf), axis=1) <= there
-    return np.asarray((there < 0.0) | hidden)
+    matches = columns - np.where(true_m > 0.0, shift_px_m / np.maximum(true_m, _NEAREST_M), 0.0)
+    # Columns in the other image; a point with a nearer neighbour at its column is occluded.
+    nearest = np.minimum.accumulate(matches[:, ::-1], axis=1)[:, ::-1]
+    hidden = np.append(nearest[:, 1:], np.full((len(matches), 1), np.inf), axis=1) <= matches
+    return np.asarray((matches < 0.0) | hidden)

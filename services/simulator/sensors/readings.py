@@ -1,4 +1,4 @@
-"""What a robot senses besides its camera's picture: how the camera shakes, odometry, inertia."""
+"""Camera shake, odometry and inertial readings of the robot."""
 
 import math
 from collections import deque
@@ -18,36 +18,36 @@ from services.simulator.world.place import Pose
 GRAVITY_M_S2: Final = 9.81
 Velocity = tuple[float, float]  # East and north.
 
-# The shake: standard deviation of roll, pitch and yaw at the robot's nominal speed on a floor that is not quite even,
-# and how long a swing lasts, the integral of the angles' autocorrelation over positive lags.
+# Shake: standard deviation of roll, pitch and yaw at nominal speed on a slightly uneven floor, and
+# its correlation time (integral of the angles' autocorrelation over positive lags).
 _SHAKE_RAD: Final = np.radians([1.0, 1.0, 0.5])
 _SWING_S: Final = 0.1
-# Turning on the spot at the nominal rate shakes this much of what driving at the nominal speed does.
+# Shake in turning on the spot at the nominal rate, relative to driving at nominal speed.
 _TURNING: Final = 0.5
-# The floor of a faster drive does not kick without limit.
+# Limit of the excitation at higher speeds.
 _MOST_SHAKE: Final = 1.5
 
-# The inertial unit is the ADIS16448 of the EuRoC data set (Burri and others, 2016), in the middle of what small robots
-# have. Of the gyroscope's three axes, in rad/s, and the accelerometer's, in m/s^2: densities of the white noise and of
-# the noise that the bias is the sum of, each by the root of a hertz; bias after a calibration; greatest reading.
+# Noise model of the ADIS16448 in the EuRoC data set (Burri et al., 2016), a medium-quality unit on
+# small robots. For three gyroscope axes (rad/s) and the accelerometer (m/s^2): densities of the
+# white noise and of the bias random walk (by the root of a hertz), bias after calibration, range.
 _NOISE: Final = np.repeat([1.6968e-4, 2.0e-3], 3)
 _WALK: Final = np.repeat([1.9393e-5, 3.0e-3], 3)
 _BIAS: Final = np.repeat([1e-3, 0.02], 3)
 _GREATEST: Final = np.repeat([math.radians(2000), 16 * GRAVITY_M_S2], 3)
 
-# The wheels' encoders are those of the TurtleBot II's base, a Kobuki: 11.7 counts for each millimetre of its wheels.
+# Encoders of the Kobuki base (TurtleBot II): 11.7 counts for each millimetre of wheel travel.
 _TICKS_PER_TURN: Final = 2578.33
-# Relative errors of each wheel's believed radius and of the distance between them, drawn once an episode: about what
-# Borenstein and Feng (1996) find left on small robots that were calibrated.
+# Relative errors of the assumed wheel radius and track, drawn once an episode: about the residual
+# of calibrated small robots in Borenstein and Feng (1996).
 _RADIUS_SIGMA: Final = 0.002
 _TRACK_SIGMA: Final = 0.005
 
 
 class Tilt(NamedTuple):
-    """How a camera is turned against the level robot, radians; or how fast that changes, rad/s.
+    """Rotation of the camera against the level robot, radians, or its rate, rad/s.
 
-    About x (ahead), y (left), z (up), by the right hand: a positive roll lifts the left side, a positive pitch looks
-    down, a positive yaw looks to the left.
+    Right-handed about x (ahead), y (left) and z (up): positive roll lifts the left side, positive
+    pitch points down, positive yaw points left.
     """
 
     roll: float
@@ -55,7 +55,7 @@ class Tilt(NamedTuple):
     yaw: float
 
     def matrix(self) -> NDArray[np.float64]:
-        """Return the rotation (3, 3) that takes the camera's axes to the robot's: roll first, then pitch, then yaw."""
+        """Return the rotation (3, 3) from camera to robot axes: roll, then pitch, then yaw."""
         return np.asarray(Rotation.from_euler("xyz", self).as_matrix(), dtype=np.float64)
 
 
@@ -63,11 +63,12 @@ LEVEL: Final = Tilt(0.0, 0.0, 0.0)
 
 
 class Shake:
-    """The tilt of a camera whose mast is a damped spring that the floor kicks while the robot moves.
+    """Camera tilt on a mast modelled as a damped spring, excited by the floor.
 
-    Each angle x is a critically damped oscillator, x'' + 2 k x' + k^2 x = noise, with k = 2 / `_SWING_S`: the smoothest
-    process of second order, so that it has a rate. The noise is as strong as the motion, so the robot's first metre
-    builds the swinging up, and it dies away when the robot stands. It is stepped exactly, see `_propagation`.
+    Each angle x is a critically damped oscillator, x'' + 2 k x' + k^2 x = noise, with k = 2 /
+    `_SWING_S`: the smoothest second-order process, so that it has a rate. The noise is proportional
+    to the motion: the swing builds up over the first metre and dies away at rest. Steps are exact,
+    see `_propagation`.
     """
 
     def __init__(self, strength: float, drive: DriveTrain, rng: np.random.Generator) -> None:
@@ -79,9 +80,9 @@ class Shake:
         self.tilt = self.rate = LEVEL
 
     def step(self, velocity_m_s: Velocity, turn_rate_rad_s: float, duration_s: float) -> None:
-        """Let time pass in which the robot moves so."""
+        """Advance time while the robot moves at this velocity."""
         swing, kick = _propagation(duration_s)
-        # 0 where the robot stands, 1 at its nominal speed straight ahead.
+        # 0 at rest, 1 at nominal speed straight ahead.
         speed = math.hypot(*velocity_m_s) / self._drive.speed_m_s
         turning = _TURNING * turn_rate_rad_s / self._drive.turn_rate_rad_s
         motion = min(math.hypot(speed, turning), _MOST_SHAKE)
@@ -91,10 +92,10 @@ class Shake:
 
 @lru_cache(maxsize=64)
 def _propagation(duration_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return what a step does to angle and rate (2, 2), and to independent unit noise (2, 2) that is added.
+    """Return the transition (2, 2) of angle and rate, and the noise factor (2, 2).
 
-    In the long run the angle's variance is 1 and the rate's the square of the stiffness; the noise of a step is what
-    the step takes from that.
+    In the stationary state the variance of the angle is 1 and of the rate the squared stiffness.
+    The noise of a step restores the variance that the transition removes.
     """
     k = 2.0 / _SWING_S
     t = duration_s
@@ -105,7 +106,7 @@ def _propagation(duration_s: float) -> tuple[NDArray[np.float64], NDArray[np.flo
 
 
 class InertialUnit:
-    """A gyroscope and an accelerometer over the middle of the wheels' axis, on what the camera shakes with."""
+    """A gyroscope and an accelerometer above the wheels' axis, on the shaking mast."""
 
     def __init__(self, error: float, rng: np.random.Generator) -> None:
         self._error = error
@@ -123,10 +124,10 @@ class InertialUnit:
         tilt: Tilt,
         rate: Tilt,
     ) -> ImuReading:
-        """Return the reading after a step that began with a heading.
+        """Compute the reading after a step that began at `heading`.
 
-        The turn rate is the mean over the step, the acceleration the mean from its middle back to the middle of the
-        step before. For a tilt of a few degrees the axes of turning are those of the level robot.
+        The turn rate is the mean over the step. The acceleration is the mean between the middles of
+        the last two steps. For tilts of a few degrees the rotation axes are the level robot's.
         """
         self._time_s += duration_s
         noise = self._error * _NOISE / math.sqrt(duration_s) * self._rng.standard_normal(6)
@@ -136,7 +137,7 @@ class InertialUnit:
         east, north = (np.subtract(velocity_m_s, before) / duration_s).tolist()
         cos = math.cos(heading)
         sin = math.sin(heading)
-        # It is pushed by the ground as if it fell upwards.
+        # Gravity reads as an upward acceleration.
         level = np.array([east * cos + north * sin, north * cos - east * sin, GRAVITY_M_S2])
         true = np.concatenate(
             [[rate.roll, rate.pitch, rate.yaw + turn_rate_rad_s], tilt.matrix().T @ level]
@@ -146,10 +147,10 @@ class InertialUnit:
 
 
 class Odometer:
-    """Dead reckoning by the wheels' encoders, as if wheels and track were what they are believed to be.
+    """Dead reckoning from wheel encoders with the assumed wheel radius and track.
 
-    What the wheels do without turning (slipping, being pushed) stays unknown to it; and since it adds up what it reads,
-    its error grows with the way.
+    Slip and pushes stay unobserved, and the error grows with the distance, since readings are
+    integrated.
     """
 
     def __init__(self, drive: DriveTrain, error: float, rng: np.random.Generator) -> None:
@@ -163,25 +164,25 @@ class Odometer:
         self._ahead_m = self._turned_rad = self._elapsed_s = 0.0
 
     def step(self, rolled_m: tuple[float, float], duration_s: float) -> None:
-        """Count the wheels' ticks of one step, and go by the arc that they make."""
+        """Integrate the wheel ticks of one step along an arc."""
         way_m = [self._count(wheel, rim_m) for wheel, rim_m in enumerate(rolled_m)]
-        # For one second at this many metres a second: an arc knows of no time.
+        # Metres of one step used as m/s over one second: an arc does not depend on time.
         self._pose = move(self._pose, WheelSpeeds(*way_m), self._track_m, 1.0)
         self._ahead_m += sum(way_m) / 2
         self._turned_rad += (way_m[1] - way_m[0]) / self._track_m
         self._elapsed_s += duration_s
 
     def read(self) -> OdometryReading:
-        """Return the pose now, and the mean speeds since this was last called (0 where no time has passed)."""
+        """Return the current pose, and the mean speeds since the last call."""
         elapsed_s = self._elapsed_s or math.inf
         speeds = self._ahead_m / elapsed_s, self._turned_rad / elapsed_s
         self._ahead_m = self._turned_rad = self._elapsed_s = 0.0
         return OdometryReading(self._pose.x, self._pose.y, self._pose.heading, *speeds)
 
     def _count(self, wheel: int, rolled_m: float) -> float:
-        """Return the metres that a wheel seems to have rolled: whole ticks, the rest is seen in a later step."""
+        """Return the distance in whole encoder ticks; the remainder counts in a later step."""
         self._rolled_m[wheel] += rolled_m
-        # Without the margin, a sum of steps that should be a whole tick would often be a hair less.
+        # Margin for rounding: a sum of steps that equals a whole tick is often slightly less.
         ticks = math.floor(self._rolled_m[wheel] / self._tick_m + 1e-6)
         new = ticks - self._ticks[wheel]
         self._ticks[wheel] = ticks
@@ -189,10 +190,10 @@ class Odometer:
 
 
 class Sensors:
-    """Odometry, inertial unit and shaking camera of one robot.
+    """Odometry, inertial unit and camera shake of one robot.
 
-    A reading is taken every `STEP_S` of simulated time, however finely the robot is moved between. `shake` is a factor
-    on how much the camera shakes, 1 on a floor that is not quite even; `error` one on what the others measure wrong.
+    Readings are taken every `STEP_S` of simulated time. `shake` scales the camera shake (1 =
+    slightly uneven floor), `error` scales the errors of the other sensors.
     """
 
     def __init__(self, drive: DriveTrain, shake: float, error: float = 1.0) -> None:
@@ -207,7 +208,7 @@ class Sensors:
         imu: np.random.Generator,
         shake: np.random.Generator,
     ) -> None:
-        """Begin an episode at a pose; each sensor has a source of noise of its own, so that none changes another's."""
+        """Begin an episode at a pose; each sensor has an independent noise source."""
         self._pose = start
         self._rolled_m = (0.0, 0.0)
         self._elapsed_s = 0.0
@@ -217,7 +218,7 @@ class Sensors:
         self._readings: deque[ImuReading] = deque(maxlen=MAX_SAMPLES)
 
     def feel(self, motion: Motion, duration_s: float) -> None:
-        """Feel what the base did in `duration_s`, greater than 0."""
+        """Update the sensors after a motion of `duration_s`, greater than 0."""
         self._rolled_m = (
             self._rolled_m[0] + motion.rolled_m[0],
             self._rolled_m[1] + motion.rolled_m[1],
@@ -244,7 +245,7 @@ class Sensors:
         self._elapsed_s = 0.0
 
     def imu(self) -> tuple[ImuReading, ...]:
-        """Return the inertial readings since this was last called, oldest first, at most the last `MAX_SAMPLES`."""
+        """Return the newest inertial readings since the last call, oldest first."""
         readings = tuple(self._readings)
         self._readings.clear()
         return readings

@@ -1,4 +1,4 @@
-"""Tables that hold no algorithm, as TOML: what tags of maps stand for, conditions of light, bodies of robots."""
+"""Tables without algorithms, as TOML: meanings of map tags, lighting conditions, robot bodies."""
 
 import tomllib
 from pathlib import Path
@@ -10,6 +10,6 @@ T = TypeVar("T")
 
 
 def table(name: str, kind: type[T]) -> T:
-    """Return the table of that name, checked by what it is to be, for pydantic."""
+    """Read a table, validated by pydantic as `kind`."""
     text = (Path(__file__).parent / f"{name}.toml").read_text(encoding="utf-8")
     return TypeAdapter(kind).validate_python(tomllib.loads(text))

@@ -1,4 +1,4 @@
-"""What a world is made of and how one is loaded; never imports the renderer."""
+"""Places, tasks and world files; independent of the renderer."""
 
 from services.simulator.world.loading import known_worlds, load_foreign_world, load_world
 from services.simulator.world.place import Pose, World, WorldError

@@ -1,4 +1,4 @@
-"""From outlines with tags to buildings: storeys, wall material, colour, roof, and the parts of a building."""
+"""Convert tagged outlines to buildings: height, wall material, colour, roof, parts."""
 
 import math
 import zlib
@@ -15,10 +15,10 @@ from services.simulator.world.tags import MEANINGS, colour, metres
 from services.simulator.world.terrain import Building, Facade, RoofShape, plan
 
 SMALLEST_M2: Final = 4.0
-# A part belongs to the building that holds most of it, and parts stand for a building of which they cover most.
+# A part belongs to the building that contains most of it; parts replace a mostly covered building.
 _WITHIN: Final = 0.5
 _COVERED: Final = 0.7
-# Of the look of a building, which its parts share unless they say otherwise.
+# Tags of appearance that parts inherit from their building.
 _SHARED: Final = ("building", "building:material", "building:colour", "smal:facade")
 _CANOPY_M: Final = 4.0
 _SLAB_M: Final = 0.4
@@ -32,12 +32,13 @@ _LOWEST_ROOF_M: Final = 0.3
 _HIGHEST_ROOF_M: Final = 40.0
 _STEEPEST_DEG: Final = 75.0
 _ABOUT_A_RECTANGLE: Final = 0.85
-# Most buildings of a real extract say nothing of their look; this many looks of each style keep neighbours apart.
+# Most mapped buildings have no tags of appearance; this many variants of a style separate
+# neighbours.
 _VARIANTS: Final = 8
 
 
 class Outline(NamedTuple):
-    """The ground plan of a building, or of a part of one: its id picks how it looks."""
+    """Footprint of a building or part; its id selects the appearance."""
 
     id: int
     shape: BaseGeometry
@@ -47,7 +48,14 @@ class Outline(NamedTuple):
 def compose(
     outlines: Sequence[Outline], parts: Sequence[Outline]
 ) -> tuple[list[Building], Counter[str]]:
-    """Return all buildings, those that parts cover to 70 % as parts; and how many parts are "used", or why not."""
+    """Compose buildings, replacing those that parts cover to 70 % by their parts.
+
+    Returns
+    -------
+    buildings : list of Building
+    counts : Counter
+        Number of "used" parts, and of unused parts by reason.
+    """
     own = _by_outline(outlines, parts)
     counts = Counter({"it is in no building": len(parts) - sum(map(len, own))})
     found: list[Building] = []
@@ -65,7 +73,6 @@ def compose(
 
 
 def _by_outline(outlines: Sequence[Outline], parts: Sequence[Outline]) -> list[list[Outline]]:
-    """Return the parts within each outline."""
     tree = STRtree([outline.shape for outline in outlines])
     own: list[list[Outline]] = [[] for _ in outlines]
     for part in parts:
@@ -96,10 +103,10 @@ def _buildings(number: int, shape: BaseGeometry, tags: Tags) -> Iterator[Buildin
 
 
 def _height_m(tags: Tags) -> float:
-    """Return the height of a building's eaves in metres: its `height`, else 3 m a level, else what its use suggests.
+    """Return the height of the eaves, metres: from `height`, else 3 m a level, else from the use.
 
-    OpenStreetMap's `height` is that of the ridge, so a stated height of the roof is taken off; where none is stated,
-    the walls are taken to be as high as the map says.
+    OpenStreetMap's `height` includes the roof, so a stated roof height is subtracted. Without one
+    the walls take the whole height.
     """
     total = metres(tags.get("height"))
     use = tags.get("building")
@@ -115,7 +122,7 @@ def _height_m(tags: Tags) -> float:
 
 
 def _min_height_m(tags: Tags, top_m: float) -> float:
-    """Return where a building's walls begin: its `min_height`, else 3 m a level below it; a canopy is a thin slab."""
+    """Return the lower end of walls: `min_height`, else 3 m a level; a canopy is a thin slab."""
     stated = metres(tags.get("min_height"))
     levels = metres(tags.get("building:min_level"))
     highest_m = top_m - _SLAB_M
@@ -129,25 +136,25 @@ def _min_height_m(tags: Tags, top_m: float) -> float:
 
 
 def _facade(tags: Tags, number: int) -> Facade:
-    """Return the look of a building's walls.
+    """Return the appearance of a building's walls.
 
-    Buildings with the same `smal:facade` and the same style and colour look identical, which is how a world makes
-    places alike on purpose. Without that tag the element's number picks one of a few looks, so that neighbours differ.
+    Buildings with equal `smal:facade`, style and colour look identical, which makes places
+    ambiguous on purpose. Without that tag the element's id selects one of a few variants.
     """
     named = tags.get("smal:facade")
     variant = zlib.crc32(named.encode()) % 997 if named else number % _VARIANTS
     choices = MEANINGS.styles_of_use.get(tags.get("building", ""), MEANINGS.any_style)
-    # A stable mix of the number, since neighbours often have consecutive ones.
+    # Hash the id, since neighbours often have consecutive ids.
     usual = choices[zlib.crc32(str(number).encode()) % len(choices)]
     style = MEANINGS.style_of_material.get(tags.get("building:material", ""), usual)
     return Facade(style, colour(tags.get("building:colour")), variant)
 
 
 def _roof(tags: Tags, footprint: Polygon) -> tuple[RoofShape, float]:
-    """Return the roof to draw, and how far its ridge is above the eaves in metres (0 for a flat one).
+    """Return the roof shape and the height of its ridge above the eaves, metres (0 if flat).
 
-    Shapes that we cannot draw get the nearest one. A house that says nothing has a gabled roof if its footprint is
-    about a rectangle, every other building a flat one.
+    Unsupported shapes become the nearest supported shape. By default nearly rectangular houses have
+    a gabled roof, and other buildings a flat roof.
     """
     box = shapely.oriented_envelope(footprint)
     if "roof:shape" in tags:

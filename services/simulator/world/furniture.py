@@ -1,4 +1,4 @@
-"""What stands in a room, or in the way: a kind, a place, a size, and which parts are solid at which height."""
+"""Furniture and obstacles: kind, pose, size, and their solid parts."""
 
 import math
 import re
@@ -17,17 +17,16 @@ from services.simulator.world.place import STRICT, Pose, Rgb, Solid
 FurnitureKind = Literal[
     "cabinet", "car", "chair", "crate", "desk", "partition", "plant", "shelf", "sofa", "table"
 ]
-ROUND: Final[frozenset[FurnitureKind]] = frozenset(
-    {"plant"}
-)  # Kinds whose footprint is a circle, `width_m` across.
-#: What is at least this high hides a victim of 0.58 m from every camera that is not higher than the victim.
+# Kinds with a circular footprint of diameter `width_m`.
+ROUND: Final[frozenset[FurnitureKind]] = frozenset({"plant"})
+#: Minimum height that hides a victim of 0.58 m from cameras at or below the victim's height.
 HIDING_M: Final = 0.6
-# Smallest width and depth of kinds that consist of parts.
+# Minimum width and depth of kinds that consist of parts.
 _SMALLEST_M: Final[dict[FurnitureKind, tuple[float, float]]] = {
     "car": (1.2, 2.0), "chair": (0.3, 0.3), "desk": (0.8, 0.4), "shelf": (0.3, 0.15), "sofa": (0.8, 0.5),
     "table": (0.3, 0.3),
 }  # fmt: skip
-# Segments of a quarter of the polygon that stands for a circle.
+# Segments of a quarter circle.
 _QUADRANT_SEGMENTS: Final = 8
 
 
@@ -35,7 +34,7 @@ def _rgb(colour: object) -> object:
     if not isinstance(colour, str):
         return colour
     if not re.fullmatch("#[0-9a-fA-F]{6}", colour):
-        raise ValueError("expected a colour like #7a8fa6")
+        raise ValueError("invalid colour; expected a value like #7a8fa6")
     return tuple(bytes.fromhex(colour[1:]))
 
 
@@ -45,13 +44,14 @@ Degrees = Annotated[float, Field(ge=-360, le=360)]
 Colour = Annotated[Rgb, BeforeValidator(_rgb)]
 
 Box = tuple[float, float, float, float]
-"""An upright box seen from above in the furniture's own frame: x_min, y_min, x_max, y_max, x towards the front."""
+"""Top view of an upright box in the furniture's frame: x_min, y_min, x_max, y_max, x to the front.
+"""
 Span = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
 class FurniturePart:
-    """A part of a piece: an entry of the table `furniture`, which says what is in it."""
+    """A part of a piece: an entry of the table `furniture`."""
 
     wears: str = ""
     own: bool = False
@@ -67,28 +67,26 @@ PARTS: Final = table("furniture", dict[FurnitureKind, tuple[FurniturePart, ...]]
 
 @checked(frozen=True, kw_only=True, config=STRICT)
 class Furniture:
-    """A piece of furniture in a room's file; tables, desks and chairs are open below, plants round, others boxes."""
+    """Furniture in a room's file; plants are round, tables, desks and chairs open below."""
 
     kind: FurnitureKind
-    x_m: Metres  # Middle of its footprint, from the west wall.
-    y_m: Metres  # Middle of its footprint, from the south wall.
+    x_m: Metres  # Centre of the footprint, from the west wall.
+    y_m: Metres  # Centre of the footprint, from the south wall.
     facing_deg: Degrees = 0.0
-    """Where its front looks; a shelf's front is the side with the books, a desk's the side where one sits."""
-    width_m: (
-        Size  # From its left to its right side, seen from the front; the diameter of what is round.
-    )
-    depth_m: Metres = 0.0  # From its front to its back; left out for what is round.
-    height_m: Size  # From the floor to its top.
-    colour: Colour | None = (
-        None  # Of its main surface, for instance "#7a8fa6"; left out, the usual one of its kind.
-    )
+    """Direction of the front: the books of a shelf, the seat of a desk."""
+    # Width seen from the front; diameter of round furniture.
+    width_m: Size
+    depth_m: Metres = 0.0  # From front to back; omitted for round furniture.
+    height_m: Size
+    # Colour of the main surface, for instance "#7a8fa6"; by default the kind's usual colour.
+    colour: Colour | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what no such piece can be."""
+        """Reject invalid sizes."""
         if self.kind in ROUND and self.depth_m:
-            raise ValueError(f"depth_m: a {self.kind} is round and has a width_m only")
+            raise ValueError(f"depth_m: unsupported for a {self.kind}, which is round; use width_m")
         if self.kind not in ROUND and self.depth_m < 0.02:
-            raise ValueError(f"depth_m: a {self.kind} needs one, of 0.02 m or more")
+            raise ValueError(f"depth_m: required for a {self.kind}, at least 0.02 m")
         width_m, depth_m = _SMALLEST_M.get(self.kind, (0.0, 0.0))
         if self.width_m < width_m or self.depth_m < depth_m:
             raise ValueError(
@@ -97,17 +95,17 @@ class Furniture:
 
     @property
     def pose(self) -> Pose:
-        """Where its middle is, and where its front looks."""
+        """Centre, and direction of the front."""
         return Pose(self.x_m, self.y_m, math.radians(self.facing_deg))
 
     @cached_property
     def footprint(self) -> Polygon:
-        """What it covers, seen from above, metres."""
+        """Top view of the piece, metres."""
         return self.pose.place(self._outline)
 
     @cached_property
     def solids(self) -> tuple[Solid, ...]:
-        """Its solid parts."""
+        """Solid parts of the piece."""
         if self.kind in ROUND:
             return (Solid(self.footprint, 0.0, self.height_m, opaque=False),)
         boxes = [self.box(part) for part in PARTS[self.kind] if part.solid]
@@ -128,7 +126,7 @@ class Furniture:
         return shapely.box(-self.depth_m / 2, -self.width_m / 2, self.depth_m / 2, self.width_m / 2)
 
     def box(self, part: FurniturePart) -> tuple[Box, float, float]:
-        """Return a part's box in the own frame, and from which height to which it goes."""
+        """Return a part's box in the furniture's frame, and its lower and upper height."""
         (x_min, x_max), (y_min, y_max), (low, high) = (
             (begin * size + begin_m, end * size + end_m)
             for (begin, begin_m, end, end_m), size in (

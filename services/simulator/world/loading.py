@@ -1,4 +1,4 @@
-"""Load a world by name or path: a map or a world file in, a place with start and victim out. Never the renderer."""
+"""Load a world by name or path: a place with start and victim, without the renderer."""
 
 import math
 import re
@@ -27,49 +27,51 @@ from smal.files.confined import ConfinedError, Work, WorkLimits, confined, size_
 
 WORLDS_FOLDER: Final = Path(__file__).parents[1] / "known_worlds"
 _SUFFIXES: Final = (".osm", ".json")
-LARGEST_FILE: Final = (
-    32 * 1024 * 1024
-)  # Bytes of a world file; a map of 5 MB becomes a world of about 1 MB.
-MOST_MEMORY: Final = 4 * 2**30  # Bytes of memory to load a world.
+# Bytes of a world file; a map of 5 MB becomes a world of about 1 MB.
+LARGEST_FILE: Final = 32 * 1024 * 1024
+MOST_MEMORY: Final = 4 * 2**30  # Memory limit of the child process that loads a world, bytes.
 # Counted before parsing: an empty list takes three bytes of the file and sixty of memory.
 _MOST_OF: Final = {b"[": 1_500_000, b"{": 500_000, b",": 5_000_000}
 _FILE: Final[TypeAdapter[RoomFile | TerrainFile]] = TypeAdapter(
     Annotated[RoomFile | TerrainFile, Field(discriminator="format")]
 )
-# A route leaves out points that are this close to it.
+# Lane points this close count as on the route, which omits points on straight legs.
 _ON_ROUTE_M: Final = 0.03
 
 
 @dataclass(frozen=True)
 class Wishes:
-    """What a person asks of the task in a map, and of how much of it to take."""
+    """Task and extent that a user requests for a map."""
 
     start: Pose | None = None
-    victim: Pose | None = (
-        None  # By hand, in the metres of the world; None for what the map says, else by rule.
-    )
-    seed: int = 0  # Another one gives another task by rule.
-    around: MapSurroundings | None = None  # The part of the map to take; None for all of it.
+    # Poses by hand, in metres of the world; None for the map's tags, else the rule.
+    victim: Pose | None = None
+    seed: int = 0  # Another seed gives another task by rule.
+    around: MapSurroundings | None = None  # Part of the map to read; None for the whole map.
 
 
 def known_worlds() -> list[str]:
-    """Return the names of the worlds that come with the project, sorted."""
+    """Return the sorted names of the included worlds."""
     return sorted({path.stem for suffix in _SUFFIXES for path in WORLDS_FOLDER.glob(f"*{suffix}")})
 
 
 def load_world(name_or_path: str | Path) -> World:
-    """Load a world that comes with the project, by name, or a world file (*.json) or map (*.osm), by path.
+    """Load an included world by name, or a world file (*.json) or map (*.osm) by path.
 
-    In a map, nodes tagged `smal:role=start` (with `direction=`, degrees clockwise from north) and `smal:role=victim`
-    set the task; else a rule does (`task.choose_roles`). WorldError where it is unknown, unreadable, empty, or has no
-    way.
+    In a map, nodes tagged `smal:role=start` (with `direction=`, degrees clockwise from north) and
+    `smal:role=victim` define the task; otherwise `task.choose_roles` does.
+
+    Raises
+    ------
+    WorldError
+        The world is not found, unreadable or empty, or has no route.
     """
     path = _find(name_or_path)
     return world_of_text(_read(path), path) if path.suffix == ".json" else world_of_map(path)
 
 
 def load_foreign_world(name_or_path: str | Path) -> World:
-    """Load a world as `load_world` does; the file of a user is loaded in a child process with limits before."""
+    """Load a world; files of users are first loaded in a child process with resource limits."""
     path = _find(name_or_path)
     if path.parent != WORLDS_FOLDER:
         bounded("services.simulator.world.loading:prove", str(path), path)
@@ -77,7 +79,7 @@ def load_foreign_world(name_or_path: str | Path) -> World:
 
 
 def prove(path: str, _work: Work) -> None:
-    """Load a world in a child process; ConfinedError where it is of no use."""
+    """Load a world in a child process; raises ConfinedError for an unusable world."""
     try:
         load_world(path)
     except WorldError as error:
@@ -85,7 +87,13 @@ def prove(path: str, _work: Work) -> None:
 
 
 def bounded(function: str, request: object, source: Path, pass_fds: Sequence[int] = ()) -> Any:  # noqa: ANN401 - JSON
-    """Work with a map or a world file in a child process; WorldError where it is of no use, or takes too much."""
+    """Run a function on a map or world file in a child process with resource limits.
+
+    Raises
+    ------
+    WorldError
+        The file is unusable, or exceeds a limit.
+    """
     limits = WorkLimits.of_size(size_of(source), MOST_MEMORY)
     try:
         return confined(function, request, limits, source, go_on=go_on, pass_fds=pass_fds)
@@ -94,7 +102,7 @@ def bounded(function: str, request: object, source: Path, pass_fds: Sequence[int
 
 
 def world_of_map(path: Path, wishes: Wishes = Wishes()) -> World:
-    """Turn an OpenStreetMap XML file into a world; see `load_world`."""
+    """Convert an OpenStreetMap XML file to a world; see `load_world`."""
     extract = read_osm(path, wishes.around)
     with _naming(path):
         terrain = terrain_from(extract, path.stem, path.name)
@@ -107,13 +115,13 @@ def world_of_map(path: Path, wishes: Wishes = Wishes()) -> World:
 
 
 def import_map(osm_map: Path, out: Path, wishes: Wishes) -> tuple[World, str]:
-    """Return a map's world, as it is read back, and the text for its file; WorldError when the map is of no use."""
+    """Import a map; return its world as read back, and the text of the world file."""
     text = terrain_text(_connected(world_of_map(osm_map, wishes)))
     return world_of_text(text.encode(), out), text
 
 
 def _connected(world: World) -> World:
-    """Return a world in whose terrain only those roads are drivable that the way to the victim is connected to."""
+    """Keep only the roads drivable that are connected to the route to the victim."""
     terrain = world.place
     if not isinstance(terrain, Terrain):
         return world
@@ -136,21 +144,21 @@ def _find(name_or_path: str | Path) -> Path:
         named = [path]
     found = next((one for one in named if one.is_file()), None)
     if found is None and named == [path]:
-        raise WorldError(f"{path}: no such file")
+        raise WorldError(f"{path}: file not found")
     if found is None:
         raise WorldError(
-            f"unknown world '{path}'; known are {', '.join(known_worlds()) or 'none'}, or give a path"
+            f"world '{path}' not found; choose from {', '.join(known_worlds())}, or give a path"
         )
     return found
 
 
 def _read(path: Path) -> bytes:
-    """Return the content of a world file, within bounds of bytes and of how many things it holds."""
+    """Return the content of a world file after checks of its size and its number of elements."""
     try:
         size = path.stat().st_size
         if size > LARGEST_FILE:
             raise WorldError(
-                f"{path}: {size / 1e6:.0f} MB; a world has at most {LARGEST_FILE / 1e6:.0f} MB"
+                f"{path}: too large ({size / 1e6:.0f} MB > maximum {LARGEST_FILE / 1e6:.0f} MB)"
             )
         data = path.read_bytes()
     except OSError as error:
@@ -158,13 +166,13 @@ def _read(path: Path) -> bytes:
     for mark, most in _MOST_OF.items():
         if data.count(mark) > most:
             raise WorldError(
-                f"{path}: more than {most:,} of '{mark.decode()}'; no world has so much in it"
+                f"{path}: too large (more than the maximum of {most:,} '{mark.decode()}')"
             )
     return data
 
 
 def world_of_text(data: bytes, path: Path) -> World:
-    """Return the world that a file of that content and name describes."""
+    """Parse a world file; `path` gives the name of the world."""
     with _naming(path):
         world = _FILE.validate_json(data).world(path.stem)
         if isinstance(world.place, Terrain):
@@ -175,11 +183,11 @@ def world_of_text(data: bytes, path: Path) -> World:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Have whatever is wrong with a world name its file, in one line."""
+    """Prefix errors about a world with its file, in one line."""
     try:
         yield
     except ValidationError as error:
-        # What is wrong in a file is placed below the name of its format.
+        # Remove the format's name from the location of the error.
         raise WorldError(
             f"{path}: {re.sub(r'^(smal[.][a-z]+/1[.:] ?|message: )', '', describe(error))}"
         ) from None
@@ -198,7 +206,7 @@ def _check_content(terrain: Terrain) -> None:
 
 
 def _check_task(world: World) -> None:
-    """Refuse a start or a victim in an obstacle, and a victim without a way."""
+    """Reject a start or victim in an obstacle, and a victim without a route."""
     for name, pose, radius_m in (
         ("start", world.start, world.robot.radius_m),
         ("victim", world.victim, 0.0),
@@ -213,7 +221,7 @@ def _check_task(world: World) -> None:
 def _role(extract: Extract, role: str) -> Pose | None:
     nodes = [node for node in extract.nodes if node.tags.get("smal:role") == role]
     if len(nodes) > 1:
-        raise WorldError(f"{len(nodes)} nodes are tagged smal:role={role}; one is allowed")
+        raise WorldError(f"{len(nodes)} nodes are tagged smal:role={role}; tag only one")
     if not nodes:
         return None
     (node,) = nodes

@@ -1,4 +1,4 @@
-"""Draw a world from above, for the pages of results."""
+"""Draw a top view of a world for result pages."""
 
 import math
 from typing import Final
@@ -34,7 +34,7 @@ _CROWN_OF_HEIGHT: Final = 0.28
 
 
 def draw_map(world: World, ax: Axes) -> None:
-    """Draw a world, its start (arrow), victim (star) and camera above on axes in metres; later routes lie on top."""
+    """Draw a world with start (arrow), victim (star) and overhead camera, in metres."""
     x_min, y_min, x_max, y_max = world.place.bounds
     ax.set(
         xlim=(x_min, x_max),
@@ -107,6 +107,6 @@ def _fill(
         shapely.get_coordinates(ring)
         for ring in shapely.get_rings(shapely.orient_polygons(polygon))
     ]
-    # Holes run the other way round than the outline, which is what leaves them open.
+    # Holes have the opposite orientation, so the fill leaves them open.
     outline = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
     ax.add_patch(PathPatch(outline, facecolor=colour, edgecolor=edge, linewidth=0.6, zorder=order))

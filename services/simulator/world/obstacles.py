@@ -1,4 +1,4 @@
-"""What stands on and beside the way, and was not there when it was taught: boxes, barriers, parked cars, chairs."""
+"""Obstacles on and beside the route that were absent in teaching: boxes, barriers, cars, chairs."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,7 +30,7 @@ def _thing(kind: FurnitureKind, width_m: float, depth_m: float, height_m: float)
     )
 
 
-#: What stands outdoors and indoors; of either the first closes a way.
+#: Outdoor and indoor obstacles; the first of each kind can close a route.
 _THINGS: Final = {
     False: (
         _thing("partition", 1.6, 0.3, 1.0),
@@ -43,22 +43,23 @@ _THINGS: Final = {
         _thing("chair", 0.45, 0.45, 0.85),
     ),
 }
-_CLOSED: Final = 12.0  # What closes a way reaches so far to either side of it, in radii of the robot, or to a wall.
-#: What stays free is at most so far beside the way, in radii of the robot: the belief follows it there.
+# Reach of a closing obstacle to either side, in robot radii, unless a wall is nearer.
+_CLOSED: Final = 12.0
+#: Maximum offset of the free passage from the route, in robot radii: the belief tracks it there.
 _ASIDE: Final = 4.75
 _TRIES: Final = 400
 
 
 @dataclass(frozen=True)
 class Obstacle:
-    """A thing that stands somewhere, with its front to its heading."""
+    """An obstacle at a pose, its front towards the heading."""
 
     piece: Furniture
     pose: Pose
 
     @cached_property
     def solids(self) -> tuple[Solid, ...]:
-        """Its solid parts where they stand."""
+        """Solid parts at the obstacle's pose."""
         return tuple(
             one._replace(shape=self.pose.place(one.shape), opaque=False)
             for one in self.piece.solids
@@ -66,33 +67,37 @@ class Obstacle:
 
     @cached_property
     def footprint(self) -> BaseGeometry:
-        """What it covers, seen from above."""
+        """Top view of the obstacle."""
         return self.pose.place(self.piece.footprint)
 
 
 def stand_in_the_way(
     world: World, start: Pose, rng: np.random.Generator, count: int, *, blocked: bool = False
 ) -> tuple[Obstacle, ...]:
-    """Return so many things that stand on and beside the way from a start to the victim, and what closes it.
+    """Place obstacles on and beside the route from a start to the victim.
 
-    They stand on different stretches of the way, not at its ends, each so that a robot that follows the way would
-    touch it, or nearly. Beside each stays a passage of twice the robot's width, no further aside than a robot knows
-    its way by sight; but nothing passes where the way is closed, in its middle. Raises WorldError where there is no
-    room for as many.
+    The obstacles stand on separate stretches of the route, away from its ends. A robot on the route
+    would touch or nearly touch each. A passage of twice the robot's width stays free near the
+    route, except at the obstacle that closes the middle of a blocked route.
+
+    Raises
+    ------
+    WorldError
+        The route has too little room.
     """
     way = _Way(world, start)
     standing = [way.closed(rng)] if blocked else []
     for near, far in pairwise(np.linspace(*way.usable, count + 1).tolist()):
-        standing += way.one(near, far, standing, rng)
+        standing += way.place_obstacle(near, far, standing, rng)
     if len(standing) < count + blocked:
         raise WorldError(
-            f"{world.name}: on the way there is room for {len(standing) - blocked} of {count} obstacles"
+            f"{world.name}: the route has room for {len(standing) - blocked} of {count} obstacles"
         )
     return tuple(standing)
 
 
 class _Way:
-    """The way of one episode, and what is solid about it."""
+    """Route of an episode, with the solid things around it."""
 
     def __init__(self, world: World, start: Pose) -> None:
         self._radius_m = world.robot.radius_m
@@ -100,7 +105,7 @@ class _Way:
         self._obstacles = obstacles_of(world.place)
         self._things = _THINGS[isinstance(world.place, Room)]
         self._line = LineString(plan_route(world, (start.x, start.y)))
-        #: Not where episodes begin, and not where the goal counts as found.
+        #: Excludes the area where episodes begin and where the goal counts as found.
         first_m = 3 * scale.aside_m
         last_m = self._line.length - scale.found_m - 2 * self._radius_m
         self.usable = (first_m, max(first_m, last_m))
@@ -110,35 +115,36 @@ class _Way:
             [one.shape for one in solids if one.shape.intersects(around)]
         )
 
-    def one(
+    def place_obstacle(
         self, near_m: float, far_m: float, others: list[Obstacle], rng: np.random.Generator
     ) -> list[Obstacle]:
-        """Return a thing on a stretch of the way that leaves a passage; nothing where no place was found."""
+        """Place an obstacle on a stretch with a free passage; return an empty list without room."""
         for _ in range(_TRIES):
             piece = self._things[int(rng.integers(len(self._things)))]
             along_m = rng.uniform(near_m, far_m)
             aside = rng.uniform(-1.0, 1.0)
             turned = rng.uniform(-0.4, 0.4)
-            # Its nearest side is where the robot would touch it, or up to half of its width further away.
-            there = beside(self._line, along_m, aside * (piece.width_m / 2 + 1.5 * self._radius_m))
-            made = Obstacle(piece, Pose(there.x, there.y, there.heading + turned))
-            off = self._solid.disjoint(made.footprint)
+            # The obstacle's side is between contact with the robot and half its width further away.
+            centre = beside(self._line, along_m, aside * (piece.width_m / 2 + 1.5 * self._radius_m))
+            obstacle = Obstacle(piece, Pose(centre.x, centre.y, centre.heading + turned))
+            off = self._solid.disjoint(obstacle.footprint)
             off &= all(
-                made.footprint.distance(other.footprint) > 8 * self._radius_m for other in others
+                obstacle.footprint.distance(other.footprint) > 8 * self._radius_m
+                for other in others
             )
-            if off and self._passes(along_m, made):
-                return [made]
+            if off and self._passes(along_m, obstacle):
+                return [obstacle]
         return []
 
-    def _passes(self, along_m: float, made: Obstacle) -> bool:
-        """Tell whether the middle of a passage twice as wide as the robot leads from before a thing to behind it."""
-        length_m = made.footprint.length / 2 + 4 * self._radius_m
+    def _passes(self, along_m: float, obstacle: Obstacle) -> bool:
+        """Return whether a passage twice as wide as the robot leads around an obstacle."""
+        length_m = obstacle.footprint.length / 2 + 4 * self._radius_m
         stretch = substring(
             self._line, max(0.0, along_m - length_m), min(self._line.length, along_m + length_m)
         )
         beside = stretch.buffer(_ASIDE * self._radius_m, cap_style="flat")
         free = beside.difference(
-            shapely.union_all([made.footprint, self._solid]).buffer(2 * self._radius_m)
+            shapely.union_all([obstacle.footprint, self._solid]).buffer(2 * self._radius_m)
         )
         ends = [shapely.Point(stretch.coords[k]) for k in (0, -1)]
         return any(
@@ -146,12 +152,12 @@ class _Way:
         )
 
     def closed(self, rng: np.random.Generator) -> Obstacle:
-        """Return what closes the way about its middle, from wall to wall, or far to both sides."""
+        """Return the obstacle that closes the route near its middle."""
         along_m = float(np.interp(rng.uniform(0.4, 0.6), (0.0, 1.0), self.usable))
         ends_m = []
         for side in (1.0, -1.0):
             steps = np.arange(0.0, _CLOSED * self._radius_m, self._radius_m / 2).tolist()
-            # Its end stands in the wall, so that no gap stays beside it.
+            # The end stands in the wall, which leaves no gap.
             there = ((one, beside(self._line, along_m, side * one).at(0.0)) for one in steps)
             walls = (one for one, xy in there if not self._obstacles.is_free(*xy, 0.0))
             ends_m.append(side * next(walls, _CLOSED * self._radius_m))

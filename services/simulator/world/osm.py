@@ -1,4 +1,4 @@
-"""Read an OpenStreetMap XML file into nodes, ways and multipolygon relations in local metres."""
+"""Read nodes, ways and multipolygon relations from an OpenStreetMap XML file, in local metres."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,42 +19,40 @@ Tags = Mapping[str, str]
 Points = NDArray[np.float64]
 Shape = TypeVar("Shape")
 
-LARGEST_FILE: Final = (
-    64 * 1024 * 1024
-)  # Bytes; a town of several thousand buildings has a third of it.
-MOST_POINTS: Final = (
-    1_000_000  # Points of all ways and relations together, and tagged nodes, ways and relations.
-)
+# Bytes; a town of several thousand buildings takes a third.
+LARGEST_FILE: Final = 64 * 1024 * 1024
+# Maximum number of points in ways and relations, and of tagged nodes, ways and relations.
+MOST_POINTS: Final = 1_000_000
 MOST_ELEMENTS: Final = 200_000
-#: OpenStreetMap's own limits; only a file made by hand has longer ones.
+#: OpenStreetMap's own limits; only handmade files exceed them.
 MOST_POINTS_OF_A_WAY: Final = 2_000
 LONGEST_TAG: Final = 255
-#: A larger world would take more memory than a machine has: roads become points a couple of metres apart.
+#: Memory limit: roads become points a couple of metres apart.
 LARGEST_M: Final = 10_000.0
-MOST_WAY_M: Final = 500_000.0  # Of roads, barriers and waterways.
+MOST_WAY_M: Final = 500_000.0  # Roads, barriers and waterways.
 
 # WGS84: semi-major axis in metres and first eccentricity squared.
 _SEMI_MAJOR_M: Final = 6_378_137.0
 _ECCENTRICITY_SQUARED: Final = 6.694_379_990_14e-3
-# What is cut into pieces of a few metres, or made as wide as it is; outlines cost what they have corners.
+# Elements that are split or widened at a cost of their length; outlines cost by their corners.
 _LINEAR_KEYS: Final = frozenset({"highway", "barrier", "waterway", "natural"})
 _SMALLEST_M: Final = 1.0
-# About the outermost thing of a map without bounds.
+# Margin around the elements of a map without bounds.
 _BEYOND_M: Final = 10.0
 OPEN: Final = "its outline is not closed"
 _BROKEN_RINGS: Final = "its rings do not close or cross each other"
-# Tags that say what kind of thing an area is.
+# Tags of the kind of an area.
 _KIND_KEYS: Final = frozenset(
     {"building", "building:part", "natural", "landuse", "leisure", "waterway", "amenity"}
 )
 
 
 class OutlineError(ValueError):
-    """Points do not enclose an area; the message says why and follows the name of what they belong to."""
+    """Points do not enclose an area; the message is the reason, and follows the element's name."""
 
 
 class MapSurroundings(NamedTuple):
-    """The part of a file to read: a square about a place on the earth."""
+    """The part of a file to read: a square about a position."""
 
     latitude_deg: float
     longitude_deg: float
@@ -62,7 +60,7 @@ class MapSurroundings(NamedTuple):
 
 
 class Element(NamedTuple, Generic[Shape]):
-    """A tagged node (2,), a way through points (n, 2), or the area of a multipolygon, in metres."""
+    """A tagged node (2,), a way (n, 2), or the area of a multipolygon, in metres."""
 
     id: int
     shape: Shape
@@ -70,14 +68,14 @@ class Element(NamedTuple, Generic[Shape]):
 
 
 class Unread(NamedTuple):
-    """An element that became none of the above, and why in a few words."""
+    """An element that was not converted, and a short reason."""
 
     tags: Tags
     reason: str
 
 
 class Extract(NamedTuple):
-    """The tagged content of a file in metres, centred on the middle of its bounds, at a latitude and a longitude."""
+    """Tagged content of a file, in metres about the middle of its bounds."""
 
     bounds: Bounds
     latitude_deg: float
@@ -86,11 +84,17 @@ class Extract(NamedTuple):
     ways: list[Element[Points]]
     relations: list[Element[BaseGeometry]]
     broken: list[Unread]  # Ways and relations that could not be read.
-    repeated: list[Unread]  # Ways that are drawn as part of a relation.
+    repeated: list[Unread]  # Ways that repeat a relation.
 
 
 def read_osm(path: Path, around: MapSurroundings | None = None) -> Extract:
-    """Read an OpenStreetMap XML file, or a part `around` the new origin; WorldError where it is of no use."""
+    """Read an OpenStreetMap XML file, or its part `around` a position.
+
+    Raises
+    ------
+    WorldError
+        The file is unreadable, too large or empty.
+    """
     try:
         _check_file(path)
         found = _Found()
@@ -113,7 +117,7 @@ def read_osm(path: Path, around: MapSurroundings | None = None) -> Extract:
 
 
 class _Found:
-    """Elements in degrees, gathered while the file streams by."""
+    """Elements in degrees, collected while streaming the file."""
 
     def __init__(self) -> None:
         self._nodes: list[tuple[int, tuple[float, float], Tags]] = []
@@ -134,9 +138,11 @@ class _Found:
             elif isinstance(element, osmium.osm.Relation):
                 self._relation(element, tags)
             if self._points > MOST_POINTS:
-                raise WorldError(f"more than {MOST_POINTS:,} points; cut it smaller")
+                raise WorldError(f"too large (more than {MOST_POINTS:,} points); cut it smaller")
             if len(self._nodes) + len(self._ways) + len(self._relations) > MOST_ELEMENTS:
-                raise WorldError(f"more than {MOST_ELEMENTS:,} nodes and ways; cut it smaller")
+                raise WorldError(
+                    f"too large (more than {MOST_ELEMENTS:,} nodes and ways); cut it smaller"
+                )
         return processor.header.box()
 
     def _node(self, node: osmium.osm.Node, tags: Tags) -> None:
@@ -156,8 +162,8 @@ class _Found:
         if size > MOST_POINTS_OF_A_WAY:
             reason = f"it has more than {MOST_POINTS_OF_A_WAY} points"
         elif len(places) < size:
-            # One that lost a corner would be drawn as another shape.
-            reason = "a point of it is missing"
+            # A way without a corner would have another shape.
+            reason = "a point is missing"
         elif size < 2:
             reason = "it has fewer than two points"
         else:
@@ -168,7 +174,7 @@ class _Found:
             self._broken.append(Unread(tags, reason))
 
     def bounds(self, box: osmium.osm.Box) -> NDArray[np.float64]:
-        """Return [[lon_min, lat_min], [lon_max, lat_max]], from the header where it has them."""
+        """Return [[lon_min, lat_min], [lon_max, lat_max]], from the header if present."""
         if box.valid():
             return np.array(
                 [[corner.lon, corner.lat] for corner in (box.bottom_left, box.top_right)]
@@ -177,16 +183,16 @@ class _Found:
             points for points, tags in self._ways.values() if tags
         ]
         if not places:
-            raise WorldError("the file holds no located nodes or ways")
+            raise WorldError("the file contains no located nodes or ways")
         every = np.concatenate(places)
         low = every.min(axis=0)
         high = every.max(axis=0)
-        # The robot cannot go beyond the bounds, so that a road along them could not be driven.
+        # The robot cannot leave the bounds, so a road along them needs a margin.
         margin = _BEYOND_M / metres_per_degree(float((low + high)[1]) / 2)
         return np.array([low - margin, high + margin])
 
     def extract(self, degrees: NDArray[np.float64]) -> Extract:
-        """Return everything in metres about the middle of some bounds, relations put together."""
+        """Convert the elements to metres about the bounds' middle; assemble the relations."""
         origin = degrees.mean(axis=0)
         scale = metres_per_degree(float(origin[1]))
         x_min, y_min, x_max, y_max = ((degrees - origin) * scale).ravel().tolist()
@@ -215,7 +221,7 @@ class _Found:
     def _put_together(
         self, lines: Mapping[int, NDArray[np.float64]]
     ) -> tuple[list[Element[BaseGeometry]], set[int]]:
-        """Return the relations, and which ways are drawn with them."""
+        """Assemble the relations; return them with the ids of the ways that repeat them."""
         relations: list[Element[BaseGeometry]] = []
         drawn: set[int] = set()
         points = 0
@@ -223,7 +229,9 @@ class _Found:
             points += sum(len(lines[ref]) for ref in roles if ref in lines)
             try:
                 if points > MOST_POINTS:
-                    raise OutlineError("the file's relations have too many points")
+                    raise OutlineError(
+                        f"too large (the file's relations exceed {MOST_POINTS:,} points)"
+                    )
                 relations.append(Element(number, self._area(lines, roles), tags))
             except OutlineError as error:
                 self._broken.append(Unread(tags, str(error)))
@@ -236,9 +244,9 @@ class _Found:
         self, lines: Mapping[int, NDArray[np.float64]], roles: Mapping[int, str]
     ) -> BaseGeometry:
         if not self._broken_ways.isdisjoint(roles):
-            raise OutlineError("a member of it is broken")
+            raise OutlineError("a member is invalid")
         if not lines.keys() >= roles.keys():
-            raise OutlineError("a member of it is not in the file")
+            raise OutlineError("a member is not in the file")
         outer, inner = (
             [LineString(lines[ref]) for ref in roles if (roles[ref] == "inner") == hole]
             for hole in (False, True)
@@ -247,15 +255,19 @@ class _Found:
 
 
 def _draws_again(way: Tags, relation: Tags) -> bool:
-    """Return whether a tagged way draws a relation again: it is of the same kind of thing, or of nothing else."""
+    """Return whether a tagged way repeats its relation: equal tags, or the same kind of area."""
     return bool(way) and (way == relation or bool(_KIND_KEYS & way.keys() & relation.keys()))
 
 
 def _area_of_rings(outer: Sequence[LineString], inner: Sequence[LineString]) -> BaseGeometry:
-    """Return the area of a multipolygon relation, given its members' lines in any order and direction.
+    """Assemble the area of a multipolygon from its members' lines, in any order and direction.
 
-    A ring inside another one of the same role is a hole in it, as where roles were forgotten. An `OutlineError` says
-    that the lines do not join to closed rings, that rings cross, or that nothing is enclosed.
+    A ring inside another of the same role is a hole, as in relations with missing roles.
+
+    Raises
+    ------
+    OutlineError
+        Lines do not join to closed rings, rings cross, or the area is empty.
     """
     shells = _faces(outer)
     holes = _faces(inner)
@@ -264,7 +276,8 @@ def _area_of_rings(outer: Sequence[LineString], inner: Sequence[LineString]) -> 
     _, overlapping = STRtree(shells + holes).query(shells + holes, "overlaps")
     if len(overlapping):
         raise OutlineError(_BROKEN_RINGS)
-    # Faces of nested rings exclude each other, so that every other one, from outside inwards, is part of the area.
+    # Faces of nested rings are disjoint: every second face, from outside inwards, belongs to the
+    # area.
     area = shapely.build_area(shapely.GeometryCollection(list(outer)))
     if holes:
         area = area.difference(shapely.union_all(holes))
@@ -274,7 +287,7 @@ def _area_of_rings(outer: Sequence[LineString], inner: Sequence[LineString]) -> 
 
 
 def _faces(lines: Sequence[LineString]) -> list[BaseGeometry]:
-    """Return what closed rings of the lines enclose, each face without the faces inside it."""
+    """Return the faces of closed rings, each without the faces inside it."""
     if not lines:
         return []
     faces, *left_over = shapely.polygonize_full(list(lines))
@@ -284,59 +297,57 @@ def _faces(lines: Sequence[LineString]) -> list[BaseGeometry]:
 
 
 def only_areas(geometry: BaseGeometry) -> BaseGeometry:
-    """Return the polygons in a geometry as one; an `OutlineError` where there is none."""
+    """Return the polygons of a geometry as one geometry; raises OutlineError if there are none."""
     parts = polygons(geometry)
     if not parts:
-        raise OutlineError("its outline encloses nothing")
+        raise OutlineError("its outline has no area")
     return parts[0] if len(parts) == 1 else MultiPolygon(parts)
 
 
 def _check_file(path: Path) -> None:
-    """Refuse a file that is too large, or that defines entities, before a parser sees it."""
+    """Reject files that are too large or define entities, before parsing."""
     size = path.stat().st_size
     if size > LARGEST_FILE:
         raise WorldError(
-            f"{size / 1e6:.0f} MB; a map has at most {LARGEST_FILE / 1e6:.0f} MB, cut it smaller"
+            f"too large ({size / 1e6:.0f} MB > maximum {LARGEST_FILE / 1e6:.0f} MB); cut it smaller"
         )
     data = path.read_bytes()
-    # Text in UTF-16 or UTF-32, where the words below would not be found, is full of zero bytes.
+    # UTF-16 and UTF-32, in which the words below cannot be found, contain many zero bytes.
     if b"\0" in data:
         raise WorldError(
-            "not a readable OpenStreetMap XML file (holds zero bytes; it must be UTF-8)"
+            "not a readable OpenStreetMap XML file (contains zero bytes; must be UTF-8)"
         )
     for word in (b"<!DOCTYPE", b"<!ENTITY"):
         if word in data:
             raise WorldError(
-                f"holds {word.decode()}; a map defines no document type and no entities"
+                f"contains {word.decode()}; maps with document types or entities are unsupported"
             )
 
 
 def _check_size(extract: Extract) -> None:
     x_min, y_min, x_max, y_max = extract.bounds
     if min(x_max - x_min, y_max - y_min) < _SMALLEST_M:
-        raise WorldError("the map's bounds enclose nothing")
+        raise WorldError("the map's bounds are empty")
     extent_m = max(x_max - x_min, y_max - y_min)
     if extent_m > LARGEST_M:
-        most = f"at most {LARGEST_M / 1000:.0f} km, import a part of it with --around"
-        raise WorldError(f"spans {extent_m / 1000:.0f} km; a world spans {most}")
+        span = f"{extent_m / 1000:.0f} km > maximum {LARGEST_M / 1000:.0f} km"
+        raise WorldError(f"too large ({span}); import a part with --around")
     lines = [LineString(way.shape) for way in extract.ways if not _LINEAR_KEYS.isdisjoint(way.tags)]
     length_m = sum(shapely.clip_by_rect(line, *extract.bounds).length for line in lines)
     if length_m > MOST_WAY_M:
-        most = f"a world has at most {MOST_WAY_M / 1000:.0f} km"
-        raise WorldError(f"{length_m / 1000:.0f} km of roads, barriers and waterways, {most}")
+        excess = f"{length_m / 1000:.0f} km > maximum {MOST_WAY_M / 1000:.0f} km"
+        raise WorldError(f"roads, barriers and waterways too long ({excess})")
     tags = [
         element.tags
         for elements in (extract.nodes, extract.ways, extract.relations)
         for element in elements
     ]
     if any(len(value) > LONGEST_TAG for some in tags for value in some.values()):
-        raise WorldError(
-            f"a tag is longer than the {LONGEST_TAG} characters that OpenStreetMap allows"
-        )
+        raise WorldError(f"a tag is too large (maximum {LONGEST_TAG} characters)")
 
 
 def metres_per_degree(latitude_deg: float) -> NDArray[np.float64]:
-    """Return metres per degree of longitude and of latitude on the ellipsoid; exact to 0.1 % over a few kilometres."""
+    """Return metres per degree of longitude and latitude (ellipsoid; 0.1 % over kilometres)."""
     latitude = math.radians(latitude_deg)
     flat = 1.0 - _ECCENTRICITY_SQUARED * math.sin(latitude) ** 2
     prime_vertical = _SEMI_MAJOR_M / math.sqrt(flat)

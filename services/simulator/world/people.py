@@ -1,4 +1,4 @@
-"""People who walk across and along the way, to and fro, stop and wait; they look where they go."""
+"""Pedestrians who walk across and along the route, stop, wait and turn back."""
 
 import math
 from functools import partial
@@ -10,16 +10,16 @@ from shapely import LineString
 from services.simulator.world.place import Pose, World, WorldError
 from services.simulator.world.route import beside, obstacles_of
 
-#: Of a person seen from above, metres, and how much room one leaves to a robot ahead, more than both take.
+#: Radius of a person, metres, and clearance to a robot ahead, in addition to both radii.
 _RADIUS_M = 0.25
 _ROOM_M = 0.5
-#: How fast a person walks, in metres a second and in speeds of the robot, whichever is slower.
+#: Walking speed, in m/s and in robot speeds; the slower applies.
 _SPEED_M_S = 1.2
 _SPEEDS = 2.0
-#: How far a walk leads to either side of the way, and at most along it, in radii of the robot.
+#: Length of a walk to either side of the route, and along it, in robot radii.
 _ASIDE = (2.5, 7.5)
 _ALONG = 10.0
-#: For how long one walks, and then stands, and waits for a robot before turning back, seconds.
+#: Durations of walking, of standing, and of waiting for a robot before turning back, seconds.
 _WALKS_S = (2.0, 8.0)
 _STANDS_S = (0.0, 3.0)
 _WAITS_S = 2.0
@@ -27,7 +27,7 @@ _TRIES: Final = 400
 
 
 class Person:
-    """Somebody who walks between two places, who starts anywhere between them."""
+    """A pedestrian who walks between two points, with a random start between them."""
 
     def __init__(self, ends: LineString, speed_m_s: float, rng: np.random.Generator) -> None:
         self._ends = ends
@@ -41,17 +41,17 @@ class Person:
 
     @property
     def pose(self) -> Pose:
-        """Where the person is."""
+        """Pose of the person."""
         here = self._ends.interpolate(self._at_m)
         return Pose(here.x, here.y, self._heading + (0.0 if self._onwards > 0 else math.pi))
 
     def away_m(self, place: Pose) -> float:
-        """Return how far the person's side is from a place; below 0 inside."""
+        """Return the distance from the person's side to a pose; negative inside."""
         here = self.pose
         return math.hypot(place.x - here.x, place.y - here.y) - _RADIUS_M
 
     def step(self, duration_s: float, robot: Pose, radius_m: float) -> None:
-        """Let time pass: walk, or stand a while, or wait for a robot ahead, and turn back where it does not leave."""
+        """Advance time: walk, stand, or wait for a robot ahead and turn back after a timeout."""
         here = self.pose
         x = robot.x - here.x
         y = robot.y - here.y
@@ -73,7 +73,7 @@ class Person:
 def walk_about(
     world: World, way: LineString, rng: np.random.Generator, count: int
 ) -> tuple[Person, ...]:
-    """Return so many people, who walk about a way; WorldError where there is no room for as many."""
+    """Place people about a route; raises WorldError without enough room."""
     radius_m = world.robot.radius_m
     found = list[Person]()
     speed_m_s = min(_SPEED_M_S, _SPEEDS * world.robot.drive.speed_m_s)
@@ -85,4 +85,4 @@ def walk_about(
             found.append(Person(LineString(ends), speed_m_s, rng))
         if len(found) == count:
             return tuple(found)
-    raise WorldError(f"{world.name}: on the way there is room for {len(found)} of {count} people")
+    raise WorldError(f"{world.name}: the route has room for {len(found)} of {count} people")

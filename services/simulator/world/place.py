@@ -1,4 +1,4 @@
-"""What every world is, indoors or out: a place in local metres (x east, y north) with a task in it."""
+"""Common model of worlds: a place in local metres (x east, y north) with a task."""
 
 import math
 from dataclasses import dataclass, replace
@@ -18,75 +18,75 @@ Rgb = tuple[int, int, int]
 Bounds = tuple[float, float, float, float]
 """x_min, y_min, x_max, y_max in metres."""
 
-#: Of what a world file holds: every field known, of its very type, and finite.
+#: World files: unknown fields, other types and non-finite numbers are invalid.
 STRICT: Final = ConfigDict(
     strict=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True
 )
 
 
 class WorldError(JobError):
-    """A world cannot be used; the message is one line that names the file and the problem."""
+    """A world is unusable; the message is one line with the file and the problem."""
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where something is and where it looks: metres east and north, heading in radians from east, anticlockwise."""
+    """Position in metres (east, north), and heading in radians from east, anticlockwise."""
 
     x: float
     y: float
     heading: float
 
     def at(self, ahead_m: float, left_m: float = 0.0) -> tuple[float, float]:
-        """Return the point, metres east and north, that is so far ahead of it, and to its left."""
+        """Return the point at a distance ahead and to the left, metres."""
         cos = math.cos(self.heading)
         sin = math.sin(self.heading)
         return self.x + ahead_m * cos - left_m * sin, self.y + ahead_m * sin + left_m * cos
 
     def place(self, shape: Shape) -> Shape:
-        """Return a shape about the origin, x ahead, where it is when it stands here."""
+        """Transform a shape from the origin (x ahead) to this pose."""
         cos = math.cos(self.heading)
         sin = math.sin(self.heading)
         return affine_transform(shape, [cos, -sin, sin, cos, self.x, self.y])
 
 
 class Solid(NamedTuple):
-    """Something that stands in the way, from one height to another."""
+    """A solid obstacle between two heights."""
 
-    shape: BaseGeometry  # What it covers, seen from above, in metres: an area, or a line for something thin.
+    shape: BaseGeometry  # Top view in metres: an area, or a line for a thin obstacle.
     low_m: float
     high_m: float
-    opaque: bool  # Whether it hides what is behind it from a robot; trees and hedges are not counted on.
+    opaque: bool  # Whether it blocks the robot's view; trees and hedges do not count.
 
 
 def polygons(geometry: BaseGeometry, least_m2: float = 0.0) -> list[Polygon]:
-    """Return the polygons in a geometry, and in collections in it, that are larger than an area."""
+    """Return the polygons of a geometry (and its collections) larger than an area."""
     parts = get_parts(get_parts(geometry))
     return [part for part in parts if isinstance(part, Polygon) and part.area > least_m2]
 
 
 @dataclass(frozen=True)
 class Scale:
-    """How far is far and how close is close in a place: metres."""
+    """Typical distances of a place, metres."""
 
-    spacing_m: float = 2.0  # Between points of the graph that routes are planned on.
-    clearance_m: float = (
-        0.7  # That a route keeps from everything solid; more than the robot's radius.
-    )
-    room_m: float = 1.3  # From solid things where a lane is not tight; tight ones are avoided.
-    leg_room_m: float = 1.8  # The same off the lanes, where nothing keeps a driver in the middle.
-    leg_end_m: float = 2.5  # So close to the end of a leg, `leg_room_m` is not asked for.
-    longest_leg_m: float = 40.0  # Off the lanes, in one straight leg.
-    start_m: float = 1.0  # How far starts scatter east-west and north-south.
-    start_room_m: float = 0.5  # How much room each start has.
-    aside_m: float = 1.5  # How far beside the route recovery drives begin.
-    last_m: float = 3.0  # So long before the route's end no recovery drive begins.
-    found_m: float = 5.0  # From the victim where the robot has found it, if it also sees it.
-    moved_m: float = 3.0  # From its place where a victim lies that has moved, at most.
+    spacing_m: float = 2.0  # Spacing of points in the route graph.
+    # Clearance of routes from solid things; greater than the robot's radius.
+    clearance_m: float = 0.7
+    room_m: float = 1.3  # Preferred clearance on lanes; tighter lanes cost more.
+    leg_room_m: float = 1.8  # Preferred clearance off the lanes, where no lane centres the driver.
+    # Distance from the end of a leg below which `leg_room_m` does not apply.
+    leg_end_m: float = 2.5
+    longest_leg_m: float = 40.0  # Maximum length of a straight leg off the lanes.
+    start_m: float = 1.0  # Scatter of starts, east-west and north-south.
+    start_room_m: float = 0.5  # Free radius around each start.
+    aside_m: float = 1.5  # Maximum offset of recovery starts from the route.
+    last_m: float = 3.0  # End of the route without recovery starts.
+    found_m: float = 5.0  # Distance at which a visible victim counts as found.
+    moved_m: float = 3.0  # Maximum displacement of a moved victim.
 
 
 @checked(frozen=True, config=STRICT)
 class OverheadMount:
-    """A pinhole camera that hangs above the scene and looks straight down; its axis meets the image in its middle."""
+    """A pinhole camera above the scene that points straight down."""
 
     x_m: Annotated[float, Field(ge=0, le=50)]
     y_m: Annotated[float, Field(ge=0, le=50)]
@@ -95,38 +95,38 @@ class OverheadMount:
     height_px: Annotated[int, Field(ge=64, le=4096)]
     focal_px: Annotated[float, Field(ge=16, le=10_000)]
     up_deg: Annotated[float, Field(ge=-360, le=360)] = 90.0
-    """Direction on the floor that points up in its image, from east, anticlockwise."""
+    """Direction on the floor that is up in the image, from east, anticlockwise."""
 
 
 class Place(Protocol):
-    """A place without a task."""
+    """Interface of a place without a task."""
 
     def __hash__(self) -> int:
-        """Return a hash; what is computed of a place is kept by it."""
+        """Return a hash; caches use the place as key."""
 
     @property
     def name(self) -> str:
-        """Its name."""
+        """Name of the place."""
 
     @property
     def bounds(self) -> Bounds:
-        """Its extent, metres."""
+        """Extent, metres."""
 
     @property
     def robot(self) -> RobotModel:
-        """The robot that drives there."""
+        """Model of the robot in this place."""
 
     @property
     def scale(self) -> Scale:
-        """How far is far there."""
+        """Typical distances."""
 
     @property
     def shake(self) -> float:
-        """How much its ground shakes the camera; 1 on a floor that is not quite even."""
+        """Factor of the camera shake; 1 for a slightly uneven floor."""
 
     @property
     def overhead(self) -> OverheadMount | None:
-        """The camera above it, if there is one."""
+        """Overhead camera, if present."""
 
     @property
     def solids(self) -> tuple[Solid, ...]:
@@ -134,31 +134,31 @@ class Place(Protocol):
 
     @property
     def lanes(self) -> tuple[LineString, ...]:
-        """Where a robot may drive; lanes meet in shared points."""
+        """Lines that a robot can drive along; lanes meet in shared points."""
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A place with a task: from `start`, find the victim at `victim`."""
+    """A place with a task: find the victim at `victim` from `start`."""
 
     place: Place
     start: Pose
     victim: Pose
-    drive: DriveTrain | None = None  # Of the robot; that of the place's if not given.
+    drive: DriveTrain | None = None  # Drive of the robot; by default the place's.
 
     @property
     def name(self) -> str:
-        """The place's name."""
+        """Name of the place."""
         return self.place.name
 
     @property
     def robot(self) -> RobotModel:
-        """The robot that drives here."""
+        """Model of the robot."""
         return (
             self.place.robot if self.drive is None else replace(self.place.robot, drive=self.drive)
         )
 
     @property
     def scale(self) -> Scale:
-        """How far is far here."""
+        """Typical distances."""
         return self.place.scale

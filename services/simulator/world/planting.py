@@ -1,4 +1,4 @@
-"""Trees that a map does not show one by one: woods, orchards and rows."""
+"""Trees of woods, orchards and rows, which maps do not contain individually."""
 
 import math
 import zlib
@@ -15,25 +15,25 @@ from services.simulator.world.terrain import Area, Barrier, Building, Road, Tree
 
 _ROW_M: Final = 8.0
 _SPACING_M: Final = 7.5
-# Every tree costs time in every picture: larger woods are thinner.
+# Trees cost rendering time; larger woods are thinned.
 _MOST_SCATTERED: Final = 800
 _MOST_IN_ROWS: Final = 2_000
 _MOST_TRIED: Final = 500_000
-# Of trunks from roads, so that lanes stay free, and of crowns from walls.
+# Clearance of trunks from roads, so that lanes stay free, and of crowns from walls.
 _FROM_ROAD_M: Final = 1.6
 _FROM_WALL_M: Final = 1.8
-#: Kinds of trees with leaves, and how high trees usually are.
+#: Broad-leaved kinds, and default heights of trees.
 BROAD: Final[tuple[TreeKind, TreeKind]] = ("round", "tall")
 USUAL_HEIGHT_M: Final[dict[TreeKind, float]] = {"round": 7.0, "tall": 11.0, "conifer": 10.0}
 
 
 class Planting(NamedTuple):
-    """Ground on which trees stand, or a line of them; the number of the map's element seeds where."""
+    """An area or line with trees; the element's id seeds their positions."""
 
     number: int
     shape: Polygon | LineString
-    leaf_type: str  # As OpenStreetMap has it: "broadleaved", "needleleaved", else mixed.
-    height_m: float | None = None  # Of a tree; None for what is usual for its kind.
+    leaf_type: str  # OpenStreetMap value: "broadleaved", "needleleaved", else mixed.
+    height_m: float | None = None  # Height of a tree; None for the kind's default.
 
 
 def planted(
@@ -43,7 +43,7 @@ def planted(
     areas: Iterable[Area],
     barriers: Iterable[Barrier],
 ) -> list[Tree]:
-    """Return trees along rows, and in woods, off roads, buildings, water, paving and walls; always the same ones."""
+    """Plant trees along rows and in woods, off roads, buildings, water and walls; deterministic."""
     if not plantings:
         return []
     taken: list[BaseGeometry] = [

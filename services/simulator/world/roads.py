@@ -1,4 +1,4 @@
-"""From the tags of a highway to a road, and what opens where a road meets something solid."""
+"""Convert highway tags to roads, and open solid things where roads cross them."""
 
 import itertools
 import re
@@ -20,22 +20,22 @@ _LANE_M: Final = 3.2
 _NARROWEST_M: Final = 1.0
 _WIDEST_M: Final = 40.0
 _MOST_LANES: Final = 10
-# A way across a square is a line to plan along on ground that is paved already.
+# Paths across a square are for planning only, since the ground is already paved.
 _ACROSS_M: Final = 0.2
 _MOST_ENTRIES: Final = 12
-# Beside a road on either side, so that a robot in its middle keeps its clearance from what was cut.
+# Margin on either side of a road, which keeps the clearance of a robot in its middle.
 _MARGIN_M: Final = 0.8
 _NARROWEST_GAP_M: Final = 2.0
 _GATE_M: Final = 1.6
-PASSAGE_M: Final = 3.2  # Under a building over a passage there is room for a car.
+PASSAGE_M: Final = 3.2  # Clear height of a passage through a building, enough for a car.
 _THINNEST_STOREY_M: Final = 0.8
-# Slivers that cutting leaves behind are not worth drawing.
+# Smaller remains of cutting are dropped.
 _SMALLEST_M2: Final = 0.5
 _SHORTEST_M: Final = 0.3
 
 
 def road(line: LineString, tags: Tags) -> Road:
-    """Return the road of a line with a known `highway`: as wide as stated, else as its lanes or its class suggest."""
+    """Convert a line with a known `highway` to a road; width from tags, lanes or class."""
     highway = tags["highway"]
     lanes = 0
     if re.fullmatch("[0-9]{1,3}", tags.get("lanes", "")):
@@ -55,7 +55,7 @@ def road(line: LineString, tags: Tags) -> Road:
 
 
 def _has_sidewalks(tags: Tags) -> bool:
-    """Return whether there is a sidewalk on a side; one that the map draws by itself is none of the road's."""
+    """Return whether a road has sidewalks; separately mapped sidewalks do not count."""
     sides = [
         tags[key] for key in ("sidewalk:both", "sidewalk:left", "sidewalk:right") if key in tags
     ]
@@ -65,7 +65,7 @@ def _has_sidewalks(tags: Tags) -> bool:
 
 
 def across_squares(squares: Iterable[Polygon], roads: Iterable[Road]) -> Iterator[Road]:
-    """Yield ways straight across paved squares, between the points where drivable roads reach their outlines."""
+    """Yield straight paths across squares, between the ends of drivable roads at their outlines."""
     drivable = [shapely.get_coordinates(road.line) for road in roads if road.drivable]
     points = (
         np.unique(np.round(np.concatenate(drivable), 2), axis=0) if drivable else np.empty((0, 2))
@@ -82,7 +82,7 @@ def across_squares(squares: Iterable[Polygon], roads: Iterable[Road]) -> Iterato
 
 
 def open_passages(buildings: Iterable[Building], passages: Sequence[Road]) -> Iterator[Building]:
-    """Yield the buildings, with those that a passage leads through opened up to 3.2 m above it."""
+    """Yield the buildings with passages opened to a height of 3.2 m."""
     ways = [_strip(road) for road in passages]
     tree = STRtree(ways)
     for building in buildings:
@@ -98,7 +98,7 @@ def open_passages(buildings: Iterable[Building], passages: Sequence[Road]) -> It
 
 
 def bridge_water(areas: Iterable[Area], roads: Iterable[Road]) -> Iterator[Area]:
-    """Yield the areas, with water cut out under roads: they are bridges, or fords, and the robot crosses on them."""
+    """Yield the areas without water under roads, which count as bridges or fords."""
     strips = [_strip(road) for road in roads]
     tree = STRtree(strips)
     for area in areas:
@@ -113,7 +113,7 @@ def bridge_water(areas: Iterable[Area], roads: Iterable[Road]) -> Iterator[Area]
 def open_barriers(
     barriers: Iterable[Barrier], roads: Sequence[Road], gates: Sequence[shapely.Point]
 ) -> Iterator[Barrier]:
-    """Yield the barriers, with gaps where roads cross them and at gates."""
+    """Yield the barriers, with gaps at roads and gates."""
     tree = STRtree([road.line for road in roads])
     gate_tree = STRtree(list(gates))
     for barrier in barriers:
@@ -135,7 +135,7 @@ def _opened(building: Building, passage: BaseGeometry) -> Iterator[Building]:
     if not above:
         yield building
         return
-    # A pitched roof over a part of its building would be another roof.
+    # A pitched roof over a part would differ from the whole building's roof.
     flat = replace(building, roof="flat", roof_height_m=0.0)
     yield from (replace(flat, **plan(part)) for part in beside)
     if building.height_m >= PASSAGE_M + _THINNEST_STOREY_M:

@@ -1,7 +1,7 @@
 """An indoor place: a rectangular room with furniture, and its world file, `smal.room/1`.
 
-Metres are measured from the room's south-west corner, x to the east and y to the north. Angles are anticlockwise from
-east: 0 looks east, 90 north, 180 west, 270 south.
+Metres are measured from the room's south-west corner, x to the east and y to the north. Angles are
+anticlockwise from east: 0 is east, 90 north, 180 west, 270 south.
 """
 
 import itertools
@@ -58,11 +58,11 @@ _SCALE: Final = Scale(
     found_m=1.2,
     moved_m=0.7,
 )
-# Room that a standing victim takes, from its middle.
+# Radius of the space that a standing victim takes.
 _VICTIM_RADIUS_M: Final = 0.16
-# Lanes keep a little more than the distance that is asked for, so that rounding to centimetres takes none of it.
+# Margin of lanes above the required clearance, for rounding to centimetres.
 _MARGIN_M: Final = 0.02
-# How far ends of lanes are apart along straight edges and on open floor, and how long a lane is.
+# Spacing of lane ends along edges and on open floor, and maximum length of a lane.
 _APART_M: Final = 1.5
 _LONGEST_LANE_M: Final = 4.5
 _TOLERANCE_M: Final = 1e-6
@@ -70,22 +70,21 @@ _TOLERANCE_M: Final = 1e-6
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class Fitting:
-    """Something flat on a wall; the robot cannot touch it."""
+    """A flat object on a wall, out of the robot's reach."""
 
     kind: FittingKind
     wall: Wall
-    along_m: Metres  # From the wall's left end to the middle of it, seen from inside the room.
-    foot_m: Metres  # From the floor to its lower edge.
+    along_m: Metres  # From the wall's left end to the object's middle, seen from inside the room.
+    foot_m: Metres  # From the floor to the lower edge.
     width_m: Size
     height_m: Size
     variant: Annotated[int, Field(ge=0, lt=2**32)] = 0
-    """Which of many pictures it wears; two of a kind with the same variant and colour look the same."""
-    colour: Colour | None = (
-        None  # Of a poster's paper or a door's leaf; left out, the variant chooses.
-    )
+    """Variant of the picture; equal variant and colour give equal pictures."""
+    # Colour of a poster's paper or a door's leaf; by default the variant's.
+    colour: Colour | None = None
 
     def face(self, ahead_m: float = 0.0) -> tuple[Box, float, float]:
-        """Return what it fills before its wall, from the left end of that, to so far off it; lower and upper height."""
+        """Return the box before the wall, along it and off it, and the lower and upper height."""
         left_m = self.along_m - self.width_m / 2
         right_m = self.along_m + self.width_m / 2
         return (0.0, left_m, ahead_m, right_m), self.foot_m, self.foot_m + self.height_m
@@ -98,16 +97,15 @@ class Room:
     name: str = ""
     east_west_m: Annotated[float, Field(ge=1.5, le=50)]  # From the west to the east wall.
     north_south_m: Annotated[float, Field(ge=1.5, le=50)]  # From the south to the north wall.
-    walls_m: Annotated[float, Field(ge=1, le=10)] = 2.8  # From the floor to the ceiling.
+    walls_m: Annotated[float, Field(ge=1, le=10)] = 2.8
     floor: Literal["lino"] = "lino"
     wall_colour: Colour = (230, 226, 216)
     furniture: Annotated[tuple[Furniture, ...], Field(max_length=200)]
     fittings: Annotated[tuple[Fitting, ...], Field(max_length=200)] = ()
-    overhead: OverheadMount | None = (
-        None  # The camera above, if there is one; it sees through the ceiling.
-    )
+    # Overhead camera, if present; it sees through the ceiling.
+    overhead: OverheadMount | None = None
 
-    #: The robot of the paper's laboratory, metres between furniture, and the paper's TurtleBot often shook.
+    #: Robot and scale of the paper's laboratory; the paper's TurtleBot often shook.
     robot: ClassVar[RobotModel] = TURTLEBOT
     scale: ClassVar[Scale] = _SCALE
     shake: ClassVar[float] = 1.0
@@ -119,17 +117,17 @@ class Room:
 
     @cached_property
     def solids(self) -> tuple[Solid, ...]:
-        """The furniture's solid parts, and the walls."""
+        """Solid parts of the furniture, and the walls."""
         walls = Solid(shapely.box(*self.bounds).exterior, 0.0, self.walls_m, opaque=True)
         return (*(solid for piece in self.furniture for solid in piece.solids), walls)
 
     @cached_property
     def lanes(self) -> tuple[LineString, ...]:
-        """The visibility graph of the free floor (Lozano-Perez and Wesley 1979), without its longest lanes.
+        """Visibility graph of the free floor (Lozano-Perez and Wesley 1979), without long lanes.
 
-        Its nodes are corners of the floor that is `Scale.clearance_m`, and `Scale.room_m`, from everything, points
-        along the edges between, and a coarse grid over open floor. Nothing leads under tables, where the camera above
-        sees no robot.
+        Nodes are corners of the floor at `Scale.clearance_m` and at `Scale.room_m` from all
+        obstacles, points along the edges, and a coarse grid on open floor. No lane leads under
+        tables, where the overhead camera cannot see the robot.
         """
         nodes = self._nodes()
         pairs = cKDTree(nodes).query_pairs(_LONGEST_LANE_M, output_type="ndarray")
@@ -139,7 +137,7 @@ class Room:
         return tuple(lines[shapely.contains_properly(allowed, lines)])
 
     def _nodes(self) -> NDArray[np.float64]:
-        """Return the ends (n, 2) of lanes, metres, to the centimetre."""
+        """Return the lane ends (n, 2), metres, rounded to centimetres."""
         free, roomy = (
             self._floor_off_things(distance_m + _MARGIN_M)
             for distance_m in (self.scale.clearance_m, self.scale.room_m)
@@ -155,14 +153,14 @@ class Room:
         )
 
     def _floor_off_things(self, distance_m: float) -> BaseGeometry:
-        """Return the floor that is at least `distance_m` from every footprint and wall, with corners for arcs."""
+        """Return the floor at least `distance_m` from furniture and walls."""
         floor = shapely.box(*self.bounds).buffer(-distance_m)
         return floor.difference(
             shapely.union_all([_grown(piece, distance_m) for piece in self.furniture])
         )
 
     def wall(self, wall: Wall) -> tuple[Pose, float]:
-        """Return a wall's left end, seen from inside, with the direction into the room, and the wall's length."""
+        """Return a wall's left end with the inward direction, and the wall's length."""
         x = self.east_west_m
         y = self.north_south_m
         return {
@@ -174,7 +172,7 @@ class Room:
 
 
 def _grown(piece: Furniture, distance_m: float) -> Polygon:
-    """Return what is nearer to a footprint than a distance, with corners for arcs: an octagon about a circle."""
+    """Buffer a footprint, with corners for arcs: an octagon about a circle."""
     if piece.kind in ROUND:
         radius_m = (piece.width_m / 2 + distance_m) / math.cos(math.pi / 8)
         return shapely.Point(piece.x_m, piece.y_m).buffer(radius_m, quad_segs=2)
@@ -183,7 +181,7 @@ def _grown(piece: Furniture, distance_m: float) -> Polygon:
 
 @dataclass(frozen=True, config=STRICT)
 class RoomSpot:
-    """Where somebody stands, and where they look."""
+    """Position and direction."""
 
     x_m: Metres
     y_m: Metres
@@ -197,22 +195,25 @@ class RoomSpot:
 
 @dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
 class RoomFile(Room):
-    """A room with a task, as it is in a file."""
+    """A room with a task, the content of a room file."""
 
     format: Literal["smal.room/1"]
-    note: Annotated[str, Field(max_length=2000)] = ""  # For people; nothing reads it.
-    start: RoomSpot  # Where the robot starts, up to 0.15 m east-west and north-south and 15 degrees off.
+    note: Annotated[str, Field(max_length=2000)] = ""  # For readers; programs ignore it.
+    # Start of the robot, scattered by 0.15 m east-west and north-south, and 15 degrees.
+    start: RoomSpot
     victim: RoomSpot
     hidden: bool = True
-    """Whether the victim must be out of sight from every start; false allows a victim that is seen at once."""
+    """Whether the victim must be hidden from every start."""
 
     def __post_init__(self) -> None:
-        """Refuse things that reach out of the room."""
+        """Reject things that extend beyond the room."""
         floor = shapely.box(*self.bounds).buffer(_TOLERANCE_M)
         for number, piece in enumerate(self.furniture):
             if piece.height_m > self.walls_m or not floor.covers(piece.footprint):
-                what = f"{piece.height_m:g} m high, at ({piece.x_m:g}, {piece.y_m:g}) m, it reaches out of the room"
-                raise ValueError(f"furniture.{number} ({piece.kind}): {what}")
+                at = f"{piece.height_m:g} m high, at ({piece.x_m:g}, {piece.y_m:g}) m"
+                raise ValueError(
+                    f"furniture.{number} ({piece.kind}): {at}, it extends beyond the room"
+                )
         for number, fitting in enumerate(self.fittings):
             wall = shapely.box(0.0, 0.0, self.wall(fitting.wall)[1], self.walls_m).buffer(
                 _TOLERANCE_M
@@ -220,18 +221,16 @@ class RoomFile(Room):
             (_, left_m, _, right_m), low_m, high_m = fitting.face()
             if not wall.covers(shapely.box(left_m, low_m, right_m, high_m)):
                 raise ValueError(
-                    f"fittings.{number}: the {fitting.kind} reaches past an edge of the {fitting.wall} wall"
+                    f"fittings.{number}: the {fitting.kind} extends beyond the {fitting.wall} wall"
                 )
         above = self.overhead
         if above is not None and not (
             above.x_m <= self.east_west_m and above.y_m <= self.north_south_m
         ):
-            raise ValueError(
-                f"overhead: at ({above.x_m:g}, {above.y_m:g}) m it hangs outside the room"
-            )
+            raise ValueError(f"overhead: at ({above.x_m:g}, {above.y_m:g}) m outside the room")
 
     def world(self, name: str) -> World:
-        """Return the world that the file describes; WorldError where a place has no room, no way, or does not hide."""
+        """Build the world; raises WorldError for missing space, no route, or a visible victim."""
         world = World(replace(self, name=name), self.start.pose, self.victim.pose)
         self._check_room_for("start", world.start, _SCALE.start_room_m)
         self._check_room_for("victim", world.victim, _VICTIM_RADIUS_M)
@@ -240,8 +239,8 @@ class RoomFile(Room):
         if self.hidden and len(seen):
             x, y = seen[0, 0]
             raise WorldError(
-                f"victim: can be seen from a start, ({x:.2f}, {y:.2f}) m; put something of {HIDING_M:g} m between, "
-                'or say "hidden": false'
+                f"victim: visible from the start ({x:.2f}, {y:.2f}) m; hide it behind furniture "
+                f'of at least {HIDING_M:g} m, or set "hidden": false'
             )
         return world
 
@@ -254,7 +253,7 @@ class RoomFile(Room):
 
 
 def sights(world: World) -> NDArray[np.float64]:
-    """Return lines of sight (n, 2, 2) from starts, on a grid of 3 by 3, to the victim's middle and its sides."""
+    """Return lines of sight (n, 2, 2) from a 3 by 3 grid of starts to the victim."""
     offsets = (-world.scale.start_m, 0.0, world.scale.start_m)
     starts = np.array(
         [(world.start.x + x, world.start.y + y) for x, y in itertools.product(offsets, repeat=2)]

@@ -1,4 +1,4 @@
-"""Where a robot can go: what stands in the way, and the shortest way to the victim, along lanes."""
+"""Obstacles of a place, and shortest routes to the victim along lanes."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -15,17 +15,17 @@ from shapely.geometry.base import BaseGeometry
 
 from services.simulator.world.place import Place, Pose, Solid, World, WorldError
 
-# Metres of lane that a metre close to a wall, or a metre off the lanes, is worth.
+# Cost of a metre of tight lane, and of a metre off the lanes, in metres of lane.
 _TIGHT_COST: Final = 3.0
 _OFF_LANE_COST: Final = 1.5
-_ROUND: Final = 16  # How many times as many shapes the next round has; with 8 and 64 usual maps took no less time.
+_ROUND: Final = 16  # Growth of the rounds; 8 and 64 were not faster on usual maps.
 
 
 class Obstacles:
-    """Everything solid of a place, and its edge, seen from above; and what stands there besides, if anything does."""
+    """Top view of a place's solid things, its edge, and additional solids."""
 
     def __init__(self, place: Place, more: Iterable[Solid] = ()) -> None:
-        # What hangs higher than the robot is tall, as a building over a passage does, is driven under.
+        # The robot drives under solids above its height, such as a building over a passage.
         in_the_way = [solid for solid in (*place.solids, *more) if solid.low_m < place.robot.top_m]
         self._bounds = place.bounds
         self._radius_m = place.robot.radius_m
@@ -33,28 +33,28 @@ class Obstacles:
         self._walls = _Shapes([solid.shape for solid in in_the_way if solid.opaque])
 
     def clearance(self, x: float, y: float) -> float:
-        """Return the distance in metres from a point to the nearest obstacle; 0 inside one or outside the world."""
+        """Return the distance to the nearest obstacle, metres; 0 inside or off the world."""
         if not self._contains(x, y):
             return 0.0
         return self._solid.distance(Point(x, y))
 
     def is_free(self, x: float, y: float, radius_m: float | None = None) -> bool:
-        """Return whether a circle about a point, by default the robot's, touches nothing."""
+        """Return whether a circle about a point, by default of the robot's radius, is free."""
         return bool(
             self.are_free(np.array([[x, y]]), self._radius_m if radius_m is None else radius_m)[0]
         )
 
     def are_free(self, places: NDArray[np.float64], radius_m: float) -> NDArray[np.bool_]:
-        """Return at which points (n, 2) a circle touches nothing, as (n,)."""
+        """Return whether a circle about each point (n, 2) is free, shape (n,)."""
         inside = np.array([self._contains(x, y) for x, y in places.tolist()], dtype=np.bool_)
         return inside & ~self._solid.near(np.asarray(shapely.points(places)), radius_m)
 
     def are_clear(self, segments: NDArray[np.float64], clearance_m: float) -> NDArray[np.bool_]:
-        """Return which segments (n, 2, 2) keep more than `clearance_m` from every obstacle, as (n,)."""
+        """Return which segments (n, 2, 2) keep more than `clearance_m` from obstacles."""
         return ~self._solid.near(_lines(segments), clearance_m)
 
     def in_sight(self, segments: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which segments (n, 2, 2) nothing opaque interrupts, as (n,); trees and hedges are not counted on."""
+        """Return whether segments (n, 2, 2) are unobstructed by opaque things, shape (n,)."""
         return ~self._walls.near(_lines(segments), 0.0)
 
     def _contains(self, x: float, y: float) -> bool:
@@ -63,22 +63,21 @@ class Obstacles:
 
 
 class _Shapes:
-    """Shapes to keep off, in rounds of growing size.
+    """Index of shapes in rounds of growing size.
 
-    In a pile of shapes a query of all shapes costs as much as the pile is high. A shape of the first rounds is near
-    most places in it, and these places are not asked about again.
+    The cost of a query grows with the number of overlapping shapes. Shapes of the first rounds
+    already decide most positions, which later rounds skip.
     """
 
     def __init__(self, shapes: Sequence[BaseGeometry]) -> None:
         every = np.array(shapes, dtype=object)
-        mixed = np.random.default_rng(0).permutation(
-            len(every)
-        )  # Neighbours in a file are often neighbours on earth.
+        # Shuffled, since neighbours in a file are often neighbours on the map.
+        mixed = np.random.default_rng(0).permutation(len(every))
         sizes = _ROUND ** np.arange(1, math.ceil(math.log(max(len(every), _ROUND), _ROUND)))
         self._rounds = [STRtree(every[some]) for some in np.split(mixed, sizes)]
 
     def near(self, places: NDArray[np.object_], distance_m: float) -> NDArray[np.bool_]:
-        """Return which geometries (n,) a shape touches, or is at most so far from, as (n,)."""
+        """Return whether each geometry (n,) is within a distance of a shape, shape (n,)."""
         near = np.zeros(len(places), dtype=np.bool_)
         for tree in self._rounds:
             left = np.flatnonzero(~near)
@@ -95,9 +94,9 @@ class _Shapes:
 
 
 def _lines(segments: NDArray[np.float64]) -> NDArray[np.object_]:
-    """Return segments (n, 2, 2) as geometries, (n,)."""
+    """Convert segments (n, 2, 2) to geometries, (n,)."""
     lines = np.asarray(shapely.linestrings(segments))
-    # GEOS finds nothing near a line without length, so that one is asked about as the point that it is.
+    # GEOS ignores zero-length lines, so they become points.
     still = (segments[:, 0] == segments[:, 1]).all(axis=1)
     lines[still] = shapely.points(segments[still, 0])
     return lines
@@ -105,12 +104,12 @@ def _lines(segments: NDArray[np.float64]) -> NDArray[np.object_]:
 
 @lru_cache(maxsize=8)
 def obstacles_of(place: Place) -> Obstacles:
-    """Return the obstacles of a place, indexed once and shared."""
+    """Return the cached obstacles of a place."""
     return Obstacles(place)
 
 
 class LaneGraph:
-    """A place's lanes as points (n, 2) not far apart, joined where nothing is in the way."""
+    """Points (n, 2) along a place's lanes, connected where the edge is free."""
 
     def __init__(self, place: Place) -> None:
         self._scale = place.scale
@@ -118,13 +117,13 @@ class LaneGraph:
         self._obstacles = obstacles_of(place)
         lines = [shapely.segmentize(lane, self._scale.spacing_m) for lane in place.lanes]
         if not lines:
-            raise WorldError(f"{place.name}: no road that a robot could drive on")
+            raise WorldError(f"{place.name}: no drivable road")
         chains = [shapely.get_coordinates(line) for line in lines]
-        # Lanes meet where they share a point; to the centimetre, since projection leaves rounding behind.
+        # Lanes meet at shared points, compared in centimetres because of projection errors.
         keys = np.round(np.concatenate(chains), 2)
         points, index = np.unique(keys, axis=0, return_inverse=True)
         self.points = np.asarray(points, dtype=np.float64)
-        #: Symmetric and sparse (n, n): metres of an edge, more where it is tight.
+        #: Symmetric and sparse (n, n): cost of an edge in metres, higher where it is tight.
         self.costs = self._edges(_consecutive(chains, index.ravel()))
 
     def _edges(self, pairs: NDArray[np.int64]) -> csr_array:
@@ -133,7 +132,7 @@ class LaneGraph:
         roomy = self._obstacles.are_clear(segments, self._scale.room_m)
         length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
         cost = np.where(roomy, length, length * _TIGHT_COST)[clear]
-        # A pair drawn twice would be summed; keep one of each.
+        # Sparse matrices add up duplicates; keep one of each pair.
         ends, once = np.unique(np.sort(pairs[clear], axis=1), axis=0, return_index=True)
         half = coo_array(
             (cost[once], tuple(ends.T)), shape=(len(self.points), len(self.points))
@@ -141,18 +140,18 @@ class LaneGraph:
         return csr_array(half + half.T)
 
     def links(self, xy: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the lane points that a straight free leg from `xy` reaches, and what each leg costs."""
+        """Return the lane points within a straight free leg of `xy`, and the cost of each leg."""
         scale = self._scale
         here = np.asarray(xy, dtype=np.float64)
         distance = np.linalg.norm(self.points - here, axis=1)
         near = np.flatnonzero(distance <= scale.longest_leg_m)
         legs = np.stack([np.broadcast_to(here, (len(near), 2)), self.points[near]], axis=1)
-        # Who already stands tight, as a robot gone astray may, is only asked not to touch anything.
+        # From a tight position, such as a robot off its route, legs only need to avoid contact.
         tight = self._obstacles.clearance(float(here[0]), float(here[1])) <= scale.clearance_m
         clear = self._obstacles.are_clear(legs, self._radius_m if tight else scale.clearance_m)
         free = near[clear]
         legs = legs[clear]
-        # The end may be a victim beside a wall, or a robot gone astray.
+        # The end can be a victim beside a wall, or a robot off its route.
         share = np.minimum(1.0, scale.leg_end_m / np.maximum(distance[free], scale.leg_end_m))[
             :, None
         ]
@@ -162,14 +161,14 @@ class LaneGraph:
 
 
 class RoutesTo:
-    """All shortest ways to one goal."""
+    """Shortest routes from every lane point to a goal."""
 
     def __init__(self, graph: LaneGraph, goal: ArrayLike) -> None:
         self._graph = graph
         self._goal = np.asarray(goal, dtype=np.float64)
         size = len(graph.points)
         ends, leg_costs = graph.links(self._goal)
-        # One more node, the goal, with a one-way edge from it to each lane point that sees it.
+        # The goal is one more node, with a one-way edge to each lane point within reach.
         extended = graph.costs.tocoo()
         rows = np.concatenate([extended.row, np.full(len(ends), size)])
         columns = np.concatenate([extended.col, ends])
@@ -180,7 +179,7 @@ class RoutesTo:
         self._towards_goal = before[:size]
 
     def path_from(self, start: ArrayLike) -> NDArray[np.float64] | None:
-        """Return the corners (k, 2) of the way from `start` to the goal, or None where there is none."""
+        """Return the corners (k, 2) of the route from `start` to the goal, or None."""
         here = np.asarray(start, dtype=np.float64)
         entries, leg_costs = self._graph.links(here)
         total = leg_costs + self.cost[entries]
@@ -191,14 +190,14 @@ class RoutesTo:
         while node != len(self._graph.points):
             corners.append(self._graph.points[node])
             node = int(self._towards_goal[node])
-        # The simplifier that preserves topology never returns for some paths with nearly equal points.
+        # The topology-preserving simplifier hangs on some paths with nearly equal points.
         line = shapely.simplify(LineString([*corners, self._goal]), 0.02, preserve_topology=False)
         return np.asarray(shapely.get_coordinates(line), dtype=np.float64)
 
 
 @lru_cache(maxsize=8)
 def lane_graph(place: Place) -> LaneGraph:
-    """Return the graph of a place's lanes, built once and shared."""
+    """Return the cached lane graph of a place."""
     return LaneGraph(place)
 
 
@@ -208,22 +207,30 @@ def _routes_to_victim(world: World) -> RoutesTo:
 
 
 def plan_route(world: World, start_xy: ArrayLike) -> NDArray[np.float64]:
-    """Plan the way from anywhere to the victim, (k, 2) corners in metres, k at least 2.
+    """Plan a route from any position to the victim.
 
-    It goes back to the lanes, along lanes, and leaves them for the victim, at least `Scale.clearance_m` off everything
-    solid (the robot's radius on a first leg that begins closer); WorldError where no such way is free.
+    The route leads to the lanes, along them, and from them to the victim. It keeps at least
+    `Scale.clearance_m` from solid things; a tight first leg keeps the robot's radius.
+
+    Returns
+    -------
+    array of shape (k, 2)
+        Corners in metres, k at least 2.
+
+    Raises
+    ------
+    WorldError
+        No free route exists.
     """
     path = _routes_to_victim(world).path_from(start_xy)
     if path is None:
         x, y = np.asarray(start_xy, dtype=np.float64)
-        raise WorldError(
-            f"{world.name}: no way from ({x:.1f}, {y:.1f}) m to the victim along the lanes"
-        )
+        raise WorldError(f"{world.name}: no route from ({x:.1f}, {y:.1f}) m to the victim")
     return path
 
 
 def beside(way: LineString, along_m: float, aside_m: float = 0.0) -> Pose:
-    """Return a place beside a way, to the left, with the way's direction; before its end, of which there is none."""
+    """Return a pose beside a route, offset to the left, with the route's direction."""
     along_m = min(max(along_m, 0.0), way.length - 0.1)
     here = way.interpolate(along_m)
     there = way.interpolate(along_m + 0.1)
@@ -232,12 +239,12 @@ def beside(way: LineString, along_m: float, aside_m: float = 0.0) -> Pose:
 
 
 def route_length_m(route: NDArray[np.float64]) -> float:
-    """Return the length in metres of a route (k, 2)."""
+    """Return the length of a route (k, 2), metres."""
     return float(shapely.LineString(route).length)
 
 
 def _consecutive(chains: list[NDArray[np.float64]], index: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the pairs (m, 2) of point numbers that follow each other on a chain."""
+    """Return index pairs (m, 2) of consecutive points of the chains."""
     last = np.cumsum([len(chain) for chain in chains]) - 1
     first = np.setdiff1d(np.arange(len(index) - 1), last)
     pairs = np.stack([index[first], index[first + 1]], axis=1)

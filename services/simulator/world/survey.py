@@ -1,4 +1,4 @@
-"""From tagged nodes, ways and relations to the things of a terrain."""
+"""Convert tagged nodes, ways and relations to the objects of a terrain."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -48,13 +48,14 @@ _TALLEST_TREE_M: Final = 40.0
 _BARRIER_M: Final = (0.3, 20.0)
 _WATERWAY_M: Final = (0.5, 100.0)
 _TANGLED: Final = "it crosses itself too often"
-# Untangling an outline costs more than the square of its crossings: 300 random corners take 13 s.
+# The cost of untangling grows faster than the square of the crossings: 300 random corners take 13
+# s.
 _MOST_CROSSINGS: Final = 50
 _MOST_NEAR_PAIRS_A_SEGMENT: Final = 40
 
 
 def terrain_from(extract: Extract, name: str, file: str) -> Terrain:
-    """Build the things of a terrain from what was read of a file, leaving out and counting what is broken."""
+    """Convert the content of a file to a terrain; count and skip broken elements."""
     survey = _Survey(shapely.box(*extract.bounds))
     for way in extract.ways:
         survey.take(way)
@@ -70,7 +71,7 @@ def terrain_from(extract: Extract, name: str, file: str) -> Terrain:
 
 
 class _Survey:
-    """Gather the things of a terrain; count what was used, `skipped` (broken) and `left_out` (nothing to see here)."""
+    """Collects objects of a terrain; counts used, `skipped` (broken) and `left_out` elements."""
 
     def __init__(self, frame: Polygon) -> None:
         self.skipped: Counter[str] = Counter()
@@ -123,7 +124,7 @@ class _Survey:
     def _way(self, kind: Kind, way: Element[Any], points: Points) -> None:
         try:
             if kind in _LINEAR:
-                # Where it crosses itself, it is not cut.
+                # Self-crossing lines are not clipped.
                 parts = shapely.get_parts(
                     shapely.clip_by_rect(_line_through(points), *self._frame.bounds)
                 )
@@ -135,7 +136,7 @@ class _Survey:
             else:
                 self._area(kind, way, _area_within(points))
         except OutlineError as error:
-            # An open line outside the bounds is not looked at: exports cut outlines there.
+            # Open lines outside the bounds are expected: exports cut outlines there.
             inside = self._frame.intersects(LineString(points))
             (self.skipped if inside else self.left_out)[
                 f"{kind}: {error if inside else _OUTSIDE}"
@@ -167,7 +168,7 @@ class _Survey:
                     self._plantings.append(Planting(way.id, line, tags.get("leaf_type", "")))
 
     def _area(self, kind: Kind, element: Element[Any], area: BaseGeometry) -> bool:
-        """Take the part of an area that is inside the frame; return whether there is one."""
+        """Add the part of an area inside the bounds; return whether it is not empty."""
         parts = polygons(area.intersection(self._frame))
         tags = element.tags
         if not parts:
@@ -181,12 +182,11 @@ class _Survey:
             outlines.append(Outline(element.id, MultiPolygon(parts), tags))
         else:
             self._ground(kind, element.id, parts, tags)
-        if kind != "building part":  # whether a part is used is known only when all are there
+        if kind != "building part":  # The use of parts is known only at the end.
             self._used[kind] += 1
         return True
 
     def _ground(self, kind: Kind, number: int, parts: Sequence[Polygon], tags: Tags) -> None:
-        """Take an area that covers the ground."""
         cover = "paved" if kind == "square" else meaning.cover_of(tags) or "grass"
         self._areas += [Area(**plan(part), kind=cover) for part in parts]
         if kind == "square":
@@ -221,7 +221,7 @@ class _Survey:
 
 
 def _area_within(points: Points) -> BaseGeometry:
-    """Return what a closed line (n, 2) encloses, untangled; OutlineError where it is open, empty or too tangled."""
+    """Return the untangled area of a closed line (n, 2); raises OutlineError if it is invalid."""
     if len(points) < 4 or (points[0] != points[-1]).any():
         raise OutlineError(OPEN)
     area: BaseGeometry = Polygon(points)
@@ -233,7 +233,7 @@ def _area_within(points: Points) -> BaseGeometry:
 
 
 def _line_through(points: Points) -> LineString:
-    """Return the line along points (n, 2); an `OutlineError` where it has no length, or crosses itself too often."""
+    """Return the line along points (n, 2); raises OutlineError without length or when tangled."""
     line = LineString(points)
     if line.length == 0:
         raise OutlineError("it has no length")

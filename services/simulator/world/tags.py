@@ -1,4 +1,4 @@
-"""What OpenStreetMap's tags stand for: which kind of thing an element is, how long, how wide and of which colour."""
+"""Meanings of OpenStreetMap tags: kind, length, width, colour."""
 
 import re
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ Names = frozenset[str]
 
 @dataclass(frozen=True)
 class Meanings:
-    """The table `openstreetmap`, which says what each part is."""
+    """The table `openstreetmap`."""
 
     not_for_a_robot: Names
     marked: Names
@@ -54,7 +54,7 @@ MEANINGS: Final = table("openstreetmap", Meanings)
 
 
 def kinds_of(tags: Tags) -> list[Kind]:
-    """Return what a way or relation stands for, of the things that a terrain has; most stand for one or none."""
+    """Return the kinds of objects that a way or relation represents, usually one or none."""
     if tags.get("building", "no") != "no":
         return ["building"]
     if tags.get("building:part", "no") != "no":
@@ -64,7 +64,7 @@ def kinds_of(tags: Tags) -> list[Kind]:
         tags.get("highway") in MEANINGS.street_width_m
         or tags.get("highway") in MEANINGS.path_width_m
     ):
-        # An area is paved ground between its outlines, and no line.
+        # An area is paved ground between its outlines instead of a line.
         found.append(
             "square" if tags.get("area") == "yes" or tags.get("type") == "multipolygon" else "road"
         )
@@ -80,7 +80,7 @@ def kinds_of(tags: Tags) -> list[Kind]:
 
 
 def cover_of(tags: Tags) -> AreaKind | None:
-    """Return what covers an area with these tags, or None where they do not say."""
+    """Return the ground cover of an area, or None without a known tag."""
     if tags.get("parking") in MEANINGS.below_ground:
         return None
     cover = next(
@@ -91,7 +91,7 @@ def cover_of(tags: Tags) -> AreaKind | None:
 
 
 def trees_on(tags: Tags) -> float | None:
-    """Return how high trees on an area are, metres, 0 for what is usual; None where there are none."""
+    """Return the height of trees on an area, metres (0: default); None without trees."""
     key = next((key for key, kinds in MEANINGS.covers.items() if tags.get(key) in kinds), "")
     return MEANINGS.woods.get(key, {}).get(tags.get(key, ""))
 
@@ -105,7 +105,7 @@ def is_passage(tags: Tags) -> bool:
 
 
 def is_hidden(tags: Tags) -> bool:
-    """Return whether something lies under the ground or inside a building, where nobody would see or reach it."""
+    """Return whether an object lies under the ground or indoors, out of sight and reach."""
     if is_passage(tags):
         return False
     below = tags.get("layer", "0").startswith("-") or tags.get("location") == "underground"
@@ -113,7 +113,7 @@ def is_hidden(tags: Tags) -> bool:
 
 
 def metres(text: str | None) -> float | None:
-    """Read an OpenStreetMap length: "12", "12.5 m", "12,5" or "40'" (feet); None where there is none to read."""
+    """Parse an OpenStreetMap length ("12", "12.5 m", "12,5", "40'" in feet); None if invalid."""
     found = re.fullmatch(r"\s*(\d+(?:[.,]\d+)?)\s*(m|ft|')?\s*", text or "")
     if found is None:
         return None
@@ -122,7 +122,7 @@ def metres(text: str | None) -> float | None:
 
 
 def colour(text: str | None) -> Rgb | None:
-    """Read an OpenStreetMap colour: "#rgb", "#rrggbb" or a name, perhaps "light" or "dark"; else None."""
+    """Parse a colour: "#rgb", "#rrggbb" or a name with optional "light" or "dark"; else None."""
     text = text or ""
     if re.fullmatch(r"#[0-9a-fA-F]{3}", text):
         text = "#" + "".join(2 * digit for digit in text[1:])

@@ -1,4 +1,4 @@
-"""Where the task is: a hidden place for the victim and a start far from it, and where episodes begin."""
+"""Choose tasks: a hidden victim, a distant start, and the starts of episodes."""
 
 import itertools
 import math
@@ -24,14 +24,15 @@ from services.simulator.world.terrain import Terrain
 _FROM_WALL_M: Final = 1.2
 _VICTIM_ROOM_M: Final = 0.9
 _START_ROOM_M: Final = 1.8
-#: Lengths of way between start and victim, the best first, and which is preferred; a small map has no long ways.
+#: Ranges of route length, in order of preference, and the preferred length; small maps have no long
+#: routes.
 _ROUTES_M: Final = (
     (60.0, 150.0, 100.0),
     (35.0, 250.0, 60.0),
     (20.0, 400.0, 35.0),
     (10.0, 1000.0, 20.0),
 )
-# A start is jittered by a metre, and the victim has to stay hidden all the same.
+# The victim must stay hidden from all starts, which scatter by a metre.
 _JITTER_M: Final = 1.1
 _MOST_CANDIDATES: Final = 400
 _MOST_STARTS_TRIED: Final = 400
@@ -43,11 +44,16 @@ _TRIES: Final = 1000
 def choose_roles(
     terrain: Terrain, start: Pose | None, victim: Pose | None, seed: int = 0
 ) -> tuple[Pose, Pose]:
-    """Return a start and a victim, keeping those that are given; a `WorldError` where no pair of places fits.
+    """Choose a start and a victim, keeping the given poses.
 
-    The victim is at the first place beside a wall, from the building nearest to the middle (or to a point drawn with
-    the seed), that a road reaches and that is not seen from some point 60 to 150 m of road off; else shorter and longer
-    ways.
+    The victim stands beside a wall: candidates begin at the building nearest to the middle of the
+    map (or to a seeded point). The victim must be reachable by road and hidden from a start 60 to
+    150 m away along roads; otherwise shorter and longer routes are tried.
+
+    Raises
+    ------
+    WorldError
+        No pair of poses fits.
     """
     if start is not None and victim is not None:
         return start, victim
@@ -68,11 +74,11 @@ def choose_roles(
             if rank == 0:
                 break
     if not second_best:
-        given = "" if start is victim is None else " with the one that is given"
+        given = "" if start is victim is None else " with the given pose"
         raise WorldError(
-            f"found no start and victim{given}: the start must see nothing of the victim, reach it by road and be at "
-            f"least {_ROUTES_M[-1][0]:.0f} m away; give both, or tag two nodes smal:role=start (with direction=*) and "
-            "smal:role=victim"
+            f"start and victim not found{given}: the victim must be hidden from the start, "
+            f"reachable by road and at least {_ROUTES_M[-1][0]:.0f} m away; give both, or tag two nodes "
+            "smal:role=start (with direction=*) and smal:role=victim"
         )
     return second_best[min(second_best)]
 
@@ -95,9 +101,9 @@ def _places_beside_walls(terrain: Terrain, middle: shapely.Point) -> Iterator[Po
 def _start_for(
     terrain: Terrain, graph: LaneGraph, victim: Pose, start: Pose | None, better_than: int
 ) -> tuple[int, Pose | None]:
-    """Return a start from which this victim is hidden and reachable, or None, and how good its way's length is."""
+    """Return the rank of the best route length, and its start with a hidden, reachable victim."""
     goal = np.array([victim.x, victim.y])
-    # Most places beside walls are not reached from a road: asked first, since that is quick.
+    # Most places beside walls are unreachable by road; this quick check comes first.
     if len(graph.links(goal)[0]) == 0:
         return 0, None
     routes = RoutesTo(graph, goal)
@@ -122,7 +128,7 @@ def _start_for(
 def _are_hidden(
     terrain: Terrain, starts: NDArray[np.float64], victim: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return from which starts (n, 2), and from beside which, nothing is seen of a victim, as (n,)."""
+    """Return from which starts (n, 2), and their surroundings, a victim is hidden, as (n,)."""
     around = _JITTER_M * np.array([[0, 0], [1, 1], [1, -1], [-1, 1], [-1, -1]])
     corners = (starts[:, None] + around).reshape(-1, 2)
     sights = np.stack([corners, np.broadcast_to(victim, corners.shape)], axis=1)
@@ -131,26 +137,32 @@ def _are_hidden(
 
 
 def moved_victim(world: World, rng: np.random.Generator) -> Pose:
-    """Draw where a victim lies that has moved up to `Scale.moved_m`: free, in sight of its place; else a WorldError."""
-    there = world.victim
+    """Draw the pose of a moved victim: free, in sight of its place, within `Scale.moved_m`."""
+    victim = world.victim
     obstacles = obstacles_of(world.place)
     scale = world.scale
     for _ in range(_TRIES):
         away_m = scale.moved_m * math.sqrt(rng.uniform())
         towards = rng.uniform(0.0, math.tau)
-        x = there.x + away_m * math.cos(towards)
-        y = there.y + away_m * math.sin(towards)
-        sight = np.array([[(there.x, there.y), (x, y)]])
+        x = victim.x + away_m * math.cos(towards)
+        y = victim.y + away_m * math.sin(towards)
+        sight = np.array([[(victim.x, victim.y), (x, y)]])
         if obstacles.is_free(x, y, scale.clearance_m) and obstacles.in_sight(sight)[0]:
-            return Pose(x, y, there.heading)
+            return Pose(x, y, victim.heading)
     raise WorldError(f"{world.name}: no free place within {scale.moved_m:g} m of the victim")
 
 
 def sample_start(world: World, rng: np.random.Generator, purpose: Purpose) -> Pose:
-    """Draw a free start pose; the same chance gives the same pose. WorldError where 1000 draws find none.
+    """Draw a free start pose.
 
-    Of `drive` and `run` it is within `Scale.start_m` and 15 degrees of the world's start; of `recovery` beside the
-    route, but for its last `Scale.last_m`: up to `Scale.aside_m` aside and 40 degrees turned away.
+    For `drive` and `run` the pose is within `Scale.start_m` and 15 degrees of the world's start.
+    For `recovery` it is beside the route (without its last `Scale.last_m`), up to `Scale.aside_m`
+    aside and 40 degrees off.
+
+    Raises
+    ------
+    WorldError
+        No free pose in 1000 draws.
     """
     draw = _beside_route if purpose == "recovery" else _about_start
     for _ in range(_TRIES):
@@ -180,7 +192,7 @@ def _beside_route(world: World, rng: np.random.Generator) -> Pose | None:
 
 
 def _reaches(world: World, pose: Pose, anchor: NDArray[np.float64]) -> bool:
-    """Return whether the pose is free and nothing stands between it and the place that it was drawn about."""
+    """Return whether the pose is free and unobstructed from its anchor."""
     leg = np.array([[(pose.x, pose.y), anchor]])
-    # With room to turn, so that an episode does not begin with a collision.
+    # Room to turn, so that an episode does not begin with a collision.
     return bool(obstacles_of(world.place).are_clear(leg, world.scale.start_room_m)[0])

@@ -1,7 +1,7 @@
 """An outdoor place in local metres (x east, y north), and its world file, `smal.terrain/1`.
 
-The classes say what is in the file. Headings are in degrees from east, anticlockwise. A person may edit a file: to move
-the victim, change its x and y.
+The classes define the file format. Headings are in degrees from east, anticlockwise. World files
+can be edited: to move the victim, change its x and y.
 """
 
 import json
@@ -41,9 +41,9 @@ AreaKind = Literal["grass", "water", "paved"]
 BarrierKind = Literal["hedge", "wall", "fence"]
 TreeKind = Literal["round", "tall", "conifer"]
 
-_BANK_M: Final = 0.5  # Water and the edge of the world stop the robot like a wall of this height.
+_BANK_M: Final = 0.5  # Height of the wall that represents water and the edge of the world.
 POST_M: Final = 0.1  # Radius of the posts of a canopy.
-# A roof without walls that one can walk under stands on posts, unless it is so large that it must hang on something.
+# Roofs without walls stand on posts if one can walk under them, except very large roofs.
 _HEADROOM_M: Final = 1.5
 _CANOPY_M2: Final = 400.0
 _POST_INSET_M: Final = 0.2
@@ -81,7 +81,7 @@ Counts = Annotated[dict[Text, Annotated[int, Field(ge=0, le=10**9)]], Field(max_
 
 @dataclass(frozen=True, config=STRICT)
 class Facade:
-    """The look of a building's walls; equal facades are painted with the very same picture."""
+    """Appearance of walls; equal façades have the same picture."""
 
     style: FacadeStyle
     colour: tuple[Byte, Byte, Byte] | None = None
@@ -90,21 +90,21 @@ class Facade:
 
 @dataclass(frozen=True, eq=False, config=STRICT)
 class Plan:
-    """What something covers, seen from above: an outline and courtyards, rings that end where they begin."""
+    """Footprint of an object: an outline and courtyards, closed rings."""
 
     outline: Ring
     holes: tuple[Ring, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse rings that make no area."""
+        """Reject rings without an area."""
         if any(ring[0] != ring[-1] for ring in (self.outline, *self.holes)):
             raise ValueError("a ring does not end where it begins")
         if not self.footprint.is_valid or self.footprint.area == 0:
-            raise ValueError("its outline crosses itself or encloses nothing")
+            raise ValueError("its outline crosses itself or has no area")
 
     @cached_property
     def footprint(self) -> Polygon:
-        """What it covers, as one polygon."""
+        """The footprint as one polygon."""
         return Polygon(self.outline, self.holes)
 
 
@@ -116,20 +116,19 @@ def plan(polygon: Polygon) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
 class Building(Plan):
-    """A plan pulled up from one height to another, and a roof above."""
+    """A footprint extruded between two heights, with a roof."""
 
-    height_m: Annotated[float, Field(gt=0, le=500)]  # Of the eaves, above the ground.
+    height_m: Annotated[float, Field(gt=0, le=500)]  # Eaves above the ground.
     min_height_m: Annotated[float, Field(ge=0, le=500)] = 0.0
-    """Where the walls begin; above 0 for what stands on posts or bridges a passage."""
+    """Lower end of the walls; above 0 for canopies and over passages."""
     roof: RoofShape = "flat"
-    roof_height_m: Annotated[float, Field(ge=0, le=100)] = (
-        0.0  # Of the ridge above the eaves; 0 for a flat roof.
-    )
-    roof_colour: tuple[Byte, Byte, Byte] | None = None  # None where nobody has said.
+    # Ridge above the eaves; 0 for a flat roof.
+    roof_height_m: Annotated[float, Field(ge=0, le=100)] = 0.0
+    roof_colour: tuple[Byte, Byte, Byte] | None = None  # None if unknown.
     facade: Facade
 
     def __post_init__(self) -> None:
-        """Refuse what ends below where it begins."""
+        """Reject an upper end below the lower end."""
         super().__post_init__()
         if self.min_height_m >= self.height_m:
             raise ValueError(
@@ -138,7 +137,7 @@ class Building(Plan):
 
     @property
     def posts(self) -> NDArray[np.float64]:
-        """Where posts carry a canopy, (n, 2) metres: under its corners; none under what bridges a passage."""
+        """Positions (n, 2) of the posts under a canopy's corners, metres; empty over passages."""
         if self.min_height_m <= _HEADROOM_M or self.footprint.area > _CANOPY_M2:
             return np.empty((0, 2))
         inset: BaseGeometry = self.footprint.simplify(0.5).buffer(
@@ -158,21 +157,21 @@ class Road:
     line: Line
     width_m: Annotated[float, Field(gt=0, le=40)]
     kind: RoadKind
-    drivable: bool  # Whether the robot may plan along it.
-    marked: bool = False  # Whether a dashed line runs along its middle.
-    sidewalks: bool = False  # Whether there are sidewalks on both sides.
+    drivable: bool  # Whether routes can use it.
+    marked: bool = False  # Whether it has a dashed centre line.
+    sidewalks: bool = False  # Whether it has sidewalks on both sides.
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
 class Area(Plan):
-    """A patch of ground."""
+    """An area of ground."""
 
     kind: AreaKind
 
 
 @dataclass(frozen=True, config=STRICT)
 class Tree:
-    """A trunk with a crown; only the trunk is in the robot's way."""
+    """A trunk with a crown; only the trunk is an obstacle."""
 
     x: Coordinate
     y: Coordinate
@@ -192,24 +191,27 @@ class Barrier:
 
 @dataclass(frozen=True, config=STRICT)
 class Source:
-    """Where a terrain comes from, and what became of the elements of its map."""
+    """Origin of a terrain, and import statistics of its map."""
 
     file: Text
-    attribution: Text  # Whom the map's licence asks to name.
+    attribution: Text  # Attribution required by the map's licence.
     latitude_deg: Annotated[float, Field(ge=-90, le=90)]
-    longitude_deg: Annotated[float, Field(ge=-180, le=180)]  # Of the point where x and y are 0.
-    used: Counts  # How many elements of the map became things, by kind ("building", "building relation", "road", ...).
-    skipped: Counts  # How many could not be used, by kind and reason ("building: its outline is not closed").
+    longitude_deg: Annotated[float, Field(ge=-180, le=180)]  # Position of the origin.
+    used: Counts  # Number of used elements, by kind ("building", "building relation", "road", ...).
+    # Number of broken elements, by kind and reason ("building: its outline is not closed").
+    skipped: Counts
     left_out: Counts
-    """How many are as they should be but show nothing here, by kind and reason ("road: under the ground")."""
+    """Number of valid elements without visible effect, by kind and reason ("road: under the
+    ground").
+    """
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
 class Terrain:
-    """An outdoor place: everything that stands or lies on the ground."""
+    """An outdoor place with all objects on the ground."""
 
     name: str = ""
-    source: Source | None = None  # None for one made otherwise than from a map.
+    source: Source | None = None  # None for a terrain without a map.
     bounds: tuple[Coordinate, Coordinate, Coordinate, Coordinate]
     buildings: Many[Building]
     roads: Many[Road]
@@ -217,7 +219,7 @@ class Terrain:
     trees: Many[Tree] = ()
     barriers: Many[Barrier] = ()
 
-    #: The robot of the paper's campus, metres of streets, no shaking floor, nothing above.
+    #: Robot and scale of the paper's campus; no shake, no overhead camera.
     robot: ClassVar[RobotModel] = RESCUEBOT
     scale: ClassVar[Scale] = Scale()
     shake: ClassVar[float] = 0.0
@@ -225,7 +227,7 @@ class Terrain:
 
     @cached_property
     def solids(self) -> tuple[Solid, ...]:
-        """Buildings, the posts of canopies, trunks, barriers, water, and the edge of the world."""
+        """Buildings, posts of canopies, trunks, barriers, water, and the edge of the world."""
         walls = [
             Solid(one.footprint, one.min_height_m, one.height_m, opaque=True)
             for one in self.buildings
@@ -257,13 +259,13 @@ class Terrain:
 
     @cached_property
     def lanes(self) -> tuple[LineString, ...]:
-        """The middles of the roads that a robot may drive on."""
+        """Centre lines of the drivable roads."""
         return tuple(road.line for road in self.roads if road.drivable)
 
 
 @dataclass(frozen=True, config=STRICT)
 class Spot:
-    """Where something is and where it looks."""
+    """Position and direction."""
 
     x: Coordinate
     y: Coordinate
@@ -277,35 +279,35 @@ class Spot:
 
 @dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
 class TerrainFile(Terrain):
-    """A terrain with a task, as it is in a file."""
+    """A terrain with a task, the content of a terrain file."""
 
     format: Literal["smal.terrain/1"]
     start: Spot
     victim: Spot
 
     def __post_init__(self) -> None:
-        """Refuse a world that is empty, or larger than a machine can hold."""
+        """Reject empty and too large worlds."""
         x_min, y_min, x_max, y_max = self.bounds
         if not (x_min < x_max and y_min < y_max):
             raise ValueError("bounds: expected x_min, y_min, x_max, y_max in this order")
         if max(x_max - x_min, y_max - y_min) > LARGEST_M:
-            raise ValueError(f"bounds: a world spans at most {LARGEST_M / 1000:.0f} km")
+            raise ValueError(f"bounds: too large (a world spans at most {LARGEST_M / 1000:.0f} km)")
         length_m = sum(road.line.length for road in self.roads)
         if length_m > MOST_WAY_M:
             raise ValueError(
-                f"roads: {length_m / 1000:.0f} km; a world has at most {MOST_WAY_M / 1000:.0f} km"
+                f"roads: too long ({length_m / 1000:.0f} km > maximum {MOST_WAY_M / 1000:.0f} km)"
             )
 
     def world(self, name: str) -> World:
-        """Return the world that the file describes."""
+        """Build the world."""
         return World(replace(self, name=name), self.start.pose, self.victim.pose)
 
 
 def terrain_text(world: World) -> str:
-    """Return the file of a terrain's world, a thing a line, to the millimetre and a thousandth of a degree."""
+    """Return the file content of a terrain world, one object a line, rounded to millimetres."""
     terrain = world.place
     if not isinstance(terrain, Terrain):
-        raise TypeError(f"a {type(terrain).__name__} is not written as {FORMAT}")
+        raise TypeError(f"unsupported place for {FORMAT}: {type(terrain).__name__}")
     start, victim = (
         {"x": spot.x, "y": spot.y, "heading_deg": math.degrees(spot.heading)}
         for spot in (world.start, world.victim)
@@ -329,7 +331,7 @@ def terrain_text(world: World) -> str:
 
 
 def _on_grid(terrain: Terrain) -> Terrain:
-    """Return a terrain with its shapes on a grid of millimetres; slivers vanish, and what touches itself is cut."""
+    """Round shapes to millimetres; slivers vanish, and self-touching shapes are split."""
 
     def lines(line: LineString) -> Iterator[LineString]:
         rounded = shapely.set_precision(line, 10.0**-_DECIMALS)

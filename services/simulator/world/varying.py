@@ -1,4 +1,4 @@
-"""The same world on another day: façades painted anew, and movable things elsewhere."""
+"""Variations of a world: other façades, and moved furniture and trees."""
 
 import math
 import zlib
@@ -18,16 +18,23 @@ from services.simulator.world.terrain import Terrain, Tree
 _TREE_MOVES_M: Final = 3.0
 _FURNITURE_MOVES_M: Final = 0.3
 _FURNITURE_TURNS_DEG: Final = 20.0
-#: What people push about; cabinets and partitions stay.
+#: People move these kinds; cabinets and partitions stay.
 _MOVABLE: Final[frozenset[FurnitureKind]] = frozenset({"crate", "plant", "table"})
 _TRIES: Final = 20
 
 
 def vary(world: World, *, facade_seed: int = 0, clutter_seed: int = 0) -> World:
-    """Return the world with its looks or its movable things changed; start, victim and ways stay.
+    """Change the appearance or the movable objects of a world; start, victim and lanes stay.
 
-    With a facade seed façades and what hangs on walls look different; what was alike stays alike. With a clutter seed
-    trees stand up to 3 m elsewhere, boxes, plants and tables up to 0.3 m, no nearer to the way than `Scale.room_m`.
+    Parameters
+    ----------
+    world : World
+        World to change.
+    facade_seed : int
+        Seed of façades and wall fittings; equal façades stay equal to each other. 0 keeps them.
+    clutter_seed : int
+        Seed of positions: trees move by up to 3 m, boxes, plants and tables by up to 0.3 m, at
+        least `Scale.room_m` off the route. 0 keeps them.
     """
     place = world.place
     if facade_seed and isinstance(place, Terrain):
@@ -60,7 +67,7 @@ def _mixed(facade: object, seed: int) -> int:
 
 
 def _kept_free(world: World) -> BaseGeometry:
-    """Return what nothing may be moved to: the way, about as wide as routes ask, and where episodes begin."""
+    """Return the area to keep free: the route with its clearance, and the starts of episodes."""
     route = shapely.LineString(plan_route(world, (world.start.x, world.start.y)))
     scale = world.scale
     start = shapely.Point(world.start.x, world.start.y).buffer(
@@ -99,7 +106,7 @@ def _pushed_about(
     floor = shapely.box(*room.bounds)
     found = list(room.furniture)
     for number, piece in enumerate(found):
-        # Drawn for every piece, so that what happens to one does not depend on the others.
+        # Drawn for every piece, so that pieces do not depend on each other.
         shifts = rng.uniform(-1.0, 1.0, (_TRIES, 3)) * (
             _FURNITURE_MOVES_M,
             _FURNITURE_MOVES_M,

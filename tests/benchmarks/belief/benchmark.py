@@ -188,22 +188,27 @@ def run(judge: Judge, variant: Variant, drives: list[Asked], away: Asked, number
     rng = np.random.default_rng(number)
     pieces = [drives[k] for k in rng.choice(len(drives), 2, replace=False)]
     pieces += [away] if number % _AWAY_EVERY == 0 else []
-    model = judge.model
+    pose = np.zeros(3)
+    found = []
     with variant.in_place():
-        robot = Localizer(model, seed=number, config=variant.config)
-        found = []
-        pose = np.zeros(3)
-        for piece in pieces:
-            first = int(rng.integers(max(1, len(piece.poses) - PIECE)))
-            for frame in range(first, min(first + PIECE, len(piece.poses))):
-                made = [] if frame == first else [Atom(int(piece.atoms[frame - 1]))]
-                if made:
-                    pose = placed(seen_from(piece.wheels[frame], piece.wheels[frame - 1]), pose)
-                # Carried: the wheels stand, and nothing was done.
-                wheels = pose.tolist() if variant.odometry else None
-                belief = robot.observe(piece.features[frame], wheels, made)
-                found.append(judge.of(belief, None if piece is away else piece.poses[frame]))
+        robot = Localizer(judge.model, seed=number, config=variant.config)
+        for piece, frame, moved in _frames(pieces, rng):
+            # Carried: the wheels stand, and nothing was done.
+            atoms = [Atom(int(piece.atoms[frame - 1]))] if moved else []
+            if moved:
+                pose = placed(seen_from(piece.wheels[frame], piece.wheels[frame - 1]), pose)
+            wheels = pose.tolist() if variant.odometry else None
+            belief = robot.observe(piece.features[frame], wheels, atoms)
+            found.append(judge.of(belief, None if piece is away else piece.poses[frame]))
     return Said(*(np.array(column) for column in zip(*found, strict=True)))
+
+
+def _frames(pieces: list[Asked], rng: np.random.Generator) -> Iterator[tuple[Asked, int, bool]]:
+    """Yield the frames of a random part of each piece, and whether the robot drove there."""
+    for piece in pieces:
+        first = int(rng.integers(max(1, len(piece.poses) - PIECE)))
+        for frame in range(first, min(first + PIECE, len(piece.poses))):
+            yield piece, frame, frame > first
 
 
 def soon(said: Said, start: int) -> bool:

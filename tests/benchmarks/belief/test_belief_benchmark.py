@@ -6,7 +6,7 @@ import pytest
 from smal.camera import STRAIGHT
 from smal.files.packed import unpacked
 from tests.benchmarks.belief import benchmark as belief
-from tests.benchmarks.route.benchmark import FRAME_M, SPACING_M, map_of
+from tests.benchmarks.route import FRAME_M, SPACING_M, map_of
 
 METRES = 60.0
 #: Runs that are carried away from where the wheels lead; the fourth into another world.

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Final, Literal
 
 from schemas.topics import KEPT_S, Lane
-from services.cli.up import GROUPED
+from services.cli.stack import GROUPED
 from services.kit.bus import addresses, host_and_port
 from services.kit.echo import DEAF_S, SILENT_S
 from services.kit.errors import JobError
@@ -309,24 +309,18 @@ def _lanes() -> Iterator[Cell]:
     yield Cell("stop lane of robot stays deaf", for_good, restarted, "robot", stands=True)
 
 
+_UNDISTURBED: Final = Limits(pause_s=_UNDISTURBED_S)
+# Messages that a killed process had not handed over are lost: of its own, those of one frame.
+_KILLED: Final = Limits(recovery_s=_RESTARTED_S, lost_ticks=1)
+
+
 def _matrix() -> Iterator[Cell]:
-    undisturbed = Limits(pause_s=_UNDISTURBED_S)
     # On a machine that is busy with other things this is not met either.
-    yield Cell("no fault", partial(nothing, seconds=5.0), undisturbed, drives_on=True)
-    harmed = [service for service in stack_services() if service != "console"]
-    chain = ("router", "robot", "features", "recognition", "policy")
-    # What a killed process had not handed over is gone with it: of its own messages those of one frame.
-    killed = Limits(recovery_s=_RESTARTED_S, lost_ticks=1)
-    for service in harmed:
-        if service != "router":
-            # Features are there again before the robot has to stand.
-            stands = service in ("robot", "recognition", "policy")
-            yield Cell(
-                f"kill -9 {service}", partial(kill, service=service), killed, service, stands=stands
-            )
-        for seconds in _FREEZES_S:
-            harm = partial(freeze, service=service, seconds=seconds)
-            yield Cell(f"freeze {service} {seconds:.0f} s", harm, stands=service in chain)
+    calm = partial(nothing, seconds=5.0)
+    yield Cell("no fault", calm, _UNDISTURBED, drives_on=True)
+    for service in stack_services():
+        if service != "console":
+            yield from _of_one(service)
     for name, number, seconds in (
         ("kill -9 router", signal.SIGKILL, 0.0), ("restart router", signal.SIGTERM, 0.0),
         ("router down 20 s", signal.SIGKILL, _OUTAGE_S),
@@ -334,34 +328,14 @@ def _matrix() -> Iterator[Cell]:
         yield Cell(name, partial(restart_router, number=number, seconds=seconds), watched="router")
     # Of two routers the loss of one is over when all are at the other, and the robot has a command again.
     gone = Limits(pause_s=_AT_THE_OTHER_S)
-    for name, number, seconds in (
-        ("kill -9", signal.SIGKILL, 0.0),
-        ("freeze", signal.SIGSTOP, 5.0),
-    ):
-        harm = partial(lose_router, number=number, seconds=seconds)
-        yield Cell(
-            f"{name} one router of two", harm, gone, stands=number == signal.SIGSTOP, routers=2
-        )
-    # Two robots and two instances: the robot is the other instance's, as soon as it is seen that the first is gone.
-    yield Cell(
-        "no fault, two instances",
-        partial(nothing, seconds=5.0),
-        undisturbed,
-        drives_on=True,
-        instances=2,
-    )
+    killed = partial(lose_router, number=signal.SIGKILL, seconds=0.0)
+    frozen = partial(lose_router, number=signal.SIGSTOP, seconds=5.0)
+    yield Cell("kill -9 one router of two", killed, gone, routers=2)
+    yield Cell("freeze one router of two", frozen, gone, stands=True, routers=2)
+    # Two robots and two instances: the other instance takes the robot over when the first is gone.
+    yield Cell("no fault, two instances", calm, _UNDISTURBED, drives_on=True, instances=2)
     for service in GROUPED:
-        limits = undisturbed if service == "tracker" else replace(killed, pause_s=_AT_THE_OTHER_S)
-        for name, harm in (
-            ("kill -9", partial(kill, service=service)),
-            ("restart", partial(kill, service=service, number=signal.SIGTERM)),
-            ("freeze", partial(freeze, service=service, seconds=5.0)),
-        ):
-            stands = name == "freeze" and service != "tracker"
-            watched = None if name == "freeze" else service
-            yield Cell(
-                f"{name} one {service} of two", harm, limits, watched, stands=stands, instances=2
-            )
+        yield from _of_two(service)
     for service in LINKED:
         harm = partial(link_down, service=service, seconds=_OUTAGE_S)
         yield Cell(f"link of {service} down 20 s", harm, stands=service != "recorder")
@@ -371,15 +345,39 @@ def _matrix() -> Iterator[Cell]:
     yield Cell(f"link of recorder down {KEPT_S + 15.0:.0f} s", longer, Limits(lost_ticks=None))
     for name, slow in (("kill -9 operator", False), ("kill -9 operator, link grown slow", True)):
         yield Cell(name, partial(abandon, slow=slow), drives_on=True, abandoned=True)
-    console = partial(freeze, service="console", seconds=3.0)
-    yield Cell(
-        "kill -9 console", partial(kill, service="console"), undisturbed, "console", drives_on=True
-    )
-    yield Cell("freeze console 3 s", console, undisturbed, drives_on=True)
-    yield Cell("full disk", partial(fill_disk, seconds=5.0), undisturbed, next_episode=True)
+    killed = partial(kill, service="console")
+    frozen = partial(freeze, service="console", seconds=3.0)
+    yield Cell("kill -9 console", killed, _UNDISTURBED, "console", drives_on=True)
+    yield Cell("freeze console 3 s", frozen, _UNDISTURBED, drives_on=True)
+    yield Cell("full disk", partial(fill_disk, seconds=5.0), _UNDISTURBED, next_episode=True)
     # Between two episodes there is no command for a moment.
-    slow_limits = replace(undisturbed, pause_s=2 * _UNDISTURBED_S, rate_hz=9.0)
+    slow_limits = replace(_UNDISTURBED, pause_s=2 * _UNDISTURBED_S, rate_hz=9.0)
     yield Cell("slow consumer", partial(slow_consumer, seconds=15.0), slow_limits, drives_on=True)
+
+
+def _of_one(service: str) -> Iterator[Cell]:
+    """Yield the faults of a service that has one instance."""
+    if service != "router":
+        # Features are there again before the robot has to stand.
+        stands = service in ("robot", "recognition", "policy")
+        harm = partial(kill, service=service)
+        yield Cell(f"kill -9 {service}", harm, _KILLED, service, stands=stands)
+    chain = ("router", "robot", "features", "recognition", "policy")
+    for seconds in _FREEZES_S:
+        harm = partial(freeze, service=service, seconds=seconds)
+        yield Cell(f"freeze {service} {seconds:.0f} s", harm, stands=service in chain)
+
+
+def _of_two(service: str) -> Iterator[Cell]:
+    """Yield the faults of one of two instances."""
+    tracks = service == "tracker"
+    limits = _UNDISTURBED if tracks else replace(_KILLED, pause_s=_AT_THE_OTHER_S)
+    two = f"one {service} of two"
+    restarted = partial(kill, service=service, number=signal.SIGTERM)
+    frozen = partial(freeze, service=service, seconds=5.0)
+    yield Cell(f"kill -9 {two}", partial(kill, service=service), limits, service, instances=2)
+    yield Cell(f"restart {two}", restarted, limits, service, instances=2)
+    yield Cell(f"freeze {two}", frozen, limits, stands=not tracks, instances=2)
 
 
 MATRIX: Final = {cell.name: cell for cell in _matrix()}

@@ -5,6 +5,7 @@ import struct
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,36 +40,40 @@ def place_of(topic: str, tick: int, told: dict[str, Any]) -> Place:
 
 
 def read_recordings(folder: Path) -> dict[str, Recorded]:
-    """Read all recordings of a folder, by episode, with the reader of the ``mcap`` package; "" has what it cannot."""
+    """Read all recordings of a folder, by episode, with the ``mcap`` package; "" has the unreadable files."""
     found: defaultdict[str, Recorded] = defaultdict(Recorded)
     for path in sorted([*folder.glob("*.mcap"), *folder.glob(f"*.mcap{PARTIAL_SUFFIX}*")]):
-        own: set[tuple[str, Place]] = set()
         try:
-            with path.open("rb") as file:
-                reader = make_reader(file)
-                gaps = [one.metadata for one in reader.iter_metadata() if one.name == GAPS_METADATA]
-                for _, channel, message in reader.iter_messages(log_time_order=False):
-                    if (topic := topic_of(channel.topic)) is None:
-                        continue
-                    # Only images are not JSON.
-                    told = json.loads(message.data) if channel.message_encoding == "json" else {}
-                    episode = channel.metadata["episode"]
-                    place = place_of(topic.name, message.sequence, told)
-                    found[episode].duplicates += (episode, place) in own
-                    found[episode].ended |= told.get("event") == "ended"
-                    own.add((episode, place))
+            _read(path, found)
         except (McapError, struct.error, ValueError):
             found[""].unfinished.append(path.name)
-            continue
-        for episode, place in own:
-            found[episode].places.add(place)
-        for episode in {episode for episode, _ in own}:
-            found[episode].unfinished += [path.name] if PARTIAL_SUFFIX in path.name else []
-            for topic_name, ticks in (
-                item for one in gaps for item in one.items() if item[0] in TOPICS
-            ):
-                found[episode].gaps[topic_name] |= ticks_of(ticks)
     return dict(found)
+
+
+def _read(path: Path, found: defaultdict[str, Recorded]) -> None:
+    """Add a file to the episodes; its places count once it was read whole."""
+    own: defaultdict[str, set[Place]] = defaultdict(set)
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        gaps = [one.metadata for one in reader.iter_metadata() if one.name == GAPS_METADATA]
+        for _, channel, message in reader.iter_messages(log_time_order=False):
+            topic = topic_of(channel.topic)
+            if topic is None:
+                continue
+            # Only images are not JSON.
+            told = json.loads(message.data) if channel.message_encoding == "json" else {}
+            episode = channel.metadata["episode"]
+            place = place_of(topic.name, message.sequence, told)
+            found[episode].duplicates += place in own[episode]
+            found[episode].ended |= told.get("event") == "ended"
+            own[episode].add(place)
+    for episode, places in own.items():
+        one = found[episode]
+        one.places |= places
+        one.unfinished += [path.name] if PARTIAL_SUFFIX in path.name else []
+        for name, ticks in chain(*(gap.items() for gap in gaps)):
+            if name in TOPICS:
+                one.gaps[name] |= ticks_of(ticks)
 
 
 def ticks_of(text: str) -> set[int]:

@@ -23,8 +23,8 @@ from schemas.rpc import (
     Status,
 )
 from schemas.topics import EPISODE, TOPICS, Topic
-from services.cli.stack import Stack, StackPlan, flags, free_endpoint
-from services.cli.up import GROUPED, WATCH_S
+from services.cli.stack import GROUPED, Stack, StackPlan, flags, free_endpoint
+from services.cli.up import WATCH_S
 from services.kit.bus import Bus, RpcError
 from services.kit.errors import JobError
 from services.kit.node import Detail

@@ -139,12 +139,14 @@ def _compare(
         outcome.recorded += len(of_it.places)
         outcome.duplicates += of_it.duplicates
         outcome.unreadable += of_it.unfinished
-        outcome.unsaid |= {
-            f"{episode} {topic}": ticks for topic, ticks in unsaid(missing, of_it).items()
-        }
+        outcome.unsaid |= _of_episode(episode, unsaid(missing, of_it))
         if episode not in excused:
-            outcome.lost_ticks += len({tick for ticks in missing.values() for tick in ticks})
-            outcome.lost |= {f"{episode} {topic}": ticks for topic, ticks in missing.items()}
+            outcome.lost_ticks += len(set().union(*missing.values()))
+            outcome.lost |= _of_episode(episode, missing)
+
+
+def _of_episode(episode: str, ticks: dict[str, list[int]]) -> dict[str, list[int]]:
+    return {f"{episode} {topic}": each for topic, each in ticks.items()}
 
 
 def verdict(cell: Cell, outcome: Outcome) -> list[str]:

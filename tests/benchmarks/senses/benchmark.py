@@ -66,18 +66,12 @@ def main(arguments: list[str]) -> None:
     depth = [row for row in rows if "touched" in row]
     fails = [row for row in rows if "stood" in row]
     found = [row for row in rows if "found" in row]
+    touches = "touches behind a lying depth camera"
+    moves = "failed senses with which it did not stand"
     targets = [
-        verdict(
-            "touches behind a lying depth camera", sum(_count(row, "touched") for row in depth), 0
-        )
+        verdict(touches, _sum(depth, "touched"), 0),
+        verdict(moves, _sum(fails, "drove on"), 0),
     ]
-    targets.append(
-        verdict(
-            "failed senses with which it did not stand",
-            sum(_count(row, "drove on") for row in fails),
-            0,
-        )
-    )
     text = table("Lying depth cameras", depth) + table(
         "Failing cameras and wheels, without depth", fails
     )
@@ -85,10 +79,8 @@ def main(arguments: list[str]) -> None:
     say(flags, {"depth": depth, "failures": fails, "honest": found, "targets": targets}, text)
 
 
-def _count(row: Record, name: str) -> float:
-    value = row[name]
-    assert isinstance(value, int)
-    return value
+def _sum(rows: list[Record], name: str) -> float:
+    return sum(int(str(row[name])) for row in rows)
 
 
 def _of_world(world: str, places: int, searches: int, only: list[str] | None) -> Iterator[Record]:

@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.array import Float32Array
 from schemas.base import Message
 from schemas.camera import CameraInfo, CompressedImage
 from schemas.episode import Outcome, Purpose
 from schemas.motion import Odometry
-from schemas.observation import Observation
 from services.cli.learn import learn
+from services.cli.lessons import Lessons
+from services.cli.paper import Settings
 from services.cli.paper import learn as learn_paper
 from services.kit.errors import JobError
 from services.recordings.dataset import Teacher, find_recordings
 from services.recordings.reader import read_recording
 from services.recordings.writer import EpisodeWriter
-from smal.features import FeatureSettings, extract
+from smal.features import FeatureSettings
 from smal.model import Model
 from smal.paper.model import PaperModel
 from smal.teaching.demonstration import drives_to_goals
@@ -37,30 +37,21 @@ def view(position: int) -> np.ndarray:
     return corridor.view(*odometry(position))
 
 
-def depth(position: int) -> np.ndarray:
-    """Return how far away things are where the robot is; what is bright sticks out."""
-    return (500 + 20 * view(position)[..., 0].astype(np.uint16)).astype(np.uint16)
-
-
 def odometry(position: int) -> tuple[float, float, float]:
     return corridor.STEP_M * position, 0.0, 0.0
 
 
-def drive(name: str, first: int = 0, frames: int = 40, outcome: Outcome = "found", purpose: Purpose = "drive",
-          fingerprint: str | None = None, features: FeatureSettings = FEATURES) -> list[Message]:  # fmt: skip
+def drive(
+    name: str,
+    first: int = 0,
+    frames: int = 40,
+    outcome: Outcome = "found",
+    purpose: Purpose = "drive",
+) -> list[Message]:
     """Drive along the corridor, two frames forward and one to the left, in turn."""
     messages: list[Message] = [event(name, 0, "started", purpose=purpose)]
     for tick in range(frames):
-        pixels = view(first + tick)
-        cause = header(name, tick)
-        messages += seen(cause, pixels, odometry(first + tick))
-        vector = Float32Array.from_numpy(extract(pixels, features, depth(first + tick)))
-        named = fingerprint or features.fingerprint
-        messages.append(
-            Observation.after(
-                cause, fingerprint=named, modalities=features.modalities, features=vector
-            )
-        )
+        messages += seen(header(name, tick), view(first + tick), odometry(first + tick))
         messages.append(applied(name, tick, atom="left" if tick % 3 == 2 else "forward"))
     if outcome == "found":
         messages.append(event(name, frames - 1, "victim_found", purpose=purpose))
@@ -94,7 +85,7 @@ def test_a_model_with_shared_states_is_learned(
 ) -> None:
     out = tmp_path / "models" / "corridor.smal"
     report = tmp_path / "report.json"
-    learn_paper([drives], out, length=5, json_file=report)
+    learn_paper(lessons=Lessons([drives], out, json_file=report), settings=Settings(5))
     model = PaperModel.load(out)
     assert (model.sequence_length, model.recovery) == (5, (False, False, False, True))
     assert model.successful == (True, True, True, False)
@@ -125,7 +116,7 @@ def test_what_must_not_teach_is_left_out(
     path = record(tmp_path, drive("e", purpose=purpose, outcome=outcome))
     assert teach(path).teaching.remarks == [f"{path}: episode e is left out: {reason}"]
     with pytest.raises(JobError, match="episode e is left out"):
-        learn([path], tmp_path / "model.smal")
+        learn(lessons=Lessons([path], tmp_path / "model.smal"))
 
 
 def test_successful_runs_teach_on_request(tmp_path: Path) -> None:
@@ -166,7 +157,7 @@ def test_damaged_recordings_are_named_and_the_rest_teaches(
     foreign.write_bytes(b"not a recording")
     living = EpisodeWriter.begin(drives, event("living", 0, "started"))
     leave(drives, drive("left-behind", frames=20)[:-1])
-    learn_paper([drives], tmp_path / "model.smal")
+    learn_paper(lessons=Lessons([drives], tmp_path / "model.smal"), settings=Settings())
     said = capsys.readouterr().err
     (whole,) = read_recording(cut).episodes
     assert f"smal: {cut}: truncated; the {whole.frames} whole frames are read\n" in said
@@ -185,7 +176,7 @@ def test_one_drive_gives_a_map_of_views_and_for_the_papers_scheme_states(
 ) -> None:
     path = record(tmp_path, drive("drive-0"))
     report = tmp_path / "report.json"
-    learn([path], tmp_path / "mapped.smal", json_file=report)
+    learn(lessons=Lessons([path], tmp_path / "mapped.smal", json_file=report))
     visual_map = Model.load(tmp_path / "mapped.smal").mapped
     assert visual_map.odometry
     # A straight drive does not tell its camera: a usual one is assumed.
@@ -196,22 +187,18 @@ def test_one_drive_gives_a_map_of_views_and_for_the_papers_scheme_states(
     assert f"keyframes       {keyframes}\n" in text
     assert "goals           victim\n" in text
     assert "states" not in text
-    learn_paper([path], tmp_path / "paper.smal")
+    learn_paper(lessons=Lessons([path], tmp_path / "paper.smal"), settings=Settings())
     model = PaperModel.load(tmp_path / "paper.smal")
     text = capsys.readouterr().out
     assert f"states          {model.states}\n" in text
     assert "keyframes" not in text
 
 
-@pytest.mark.parametrize("described", [True, False])
-def test_neither_images_nor_features_of_a_drive_fill_memory(
-    tmp_path: Path, described: bool
-) -> None:
+def test_neither_images_nor_features_of_a_drive_fill_memory(tmp_path: Path) -> None:
     """A frame's features alone are 33 kB; what is kept of a frame is where to read it."""
     held = []
     for frames in (20, 120):
-        sent = drive(f"drive-{frames}", frames=frames, features=FeatureSettings())
-        path = record(tmp_path, [m for m in sent if described or not isinstance(m, Observation)])
+        path = record(tmp_path, drive(f"drive-{frames}", frames=frames))
         tracemalloc.start()
         taught = teach(path, features=FeatureSettings()).teaching
         gc.collect()
@@ -237,7 +224,8 @@ def test_the_camera_of_a_recording_is_that_of_the_map(tmp_path: Path) -> None:
         header("e", 0), width=640, height=480, focal_px=450.0, centre_x_px=320.0, centre_y_px=240.0
     )
     begins, *follows = drive("e", frames=20)
-    learn([record(tmp_path, [begins, info, *follows])], tmp_path / "model.smal")
+    path = record(tmp_path, [begins, info, *follows])
+    learn(lessons=Lessons([path], tmp_path / "model.smal"))
     assert Model.load(tmp_path / "model.smal").mapped.scene[0] == pytest.approx(
         math.degrees(2.0 * math.atan(320.0 / 450.0))
     )

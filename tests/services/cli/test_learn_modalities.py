@@ -1,72 +1,52 @@
-"""``smal learn --modalities``: from which of the recorded features a model is learned."""
+"""``smal learn --modalities``: from which features of the recorded images a model is learned."""
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from services.cli import learn as learning
-from services.cli.paper import learn
-from services.kit.errors import JobError, UsageError
+from schemas.array import Float32Array
+from schemas.observation import Observation
+from services.cli.learn import learn
+from services.cli.lessons import Lessons
+from services.cli.paper import Settings
+from services.cli.paper import learn as learn_paper
+from services.kit.errors import UsageError
 from smal.features import FeatureSettings
 from smal.model import Model
-from smal.paper.model import PaperModel
-from tests.services.cli.test_learn import drive as drive_with
-from tests.services.cli.test_learn import teach
+from tests.services.cli.test_learn import drive, teach
 from tests.services.recordings.test_recorder_files import record
 
-FEATURES = FeatureSettings()
-ALL = FeatureSettings.of(("color", "hog", "depth"))
-drive = partial(drive_with, features=FEATURES, frames=16)
 
-
-@pytest.fixture
-def with_depth(tmp_path: Path) -> Path:
-    folder = tmp_path / "drives"
-    folder.mkdir()
-    for number in range(2):
-        record(folder, drive(f"drive-{number}", features=ALL))
-    return folder
-
-
-def test_depth_is_in_no_image(with_depth: Path, tmp_path: Path) -> None:
-    path = record(tmp_path, drive("plain"))
-    teaching = teach(path, features=ALL).teaching
-    reason = "it lacks the features color,hog,depth, and no image has the depth for them"
-    line = f"{path}: episode plain is left out: {reason}"
-    assert (teaching.demonstrations, teaching.remarks) == ([], [line])
-    with pytest.raises(JobError, match="it lacks the features depth, and no image has"):
-        learn([path], tmp_path / "model.smal", modalities=FeatureSettings.of(("depth",)))
-    mixed = teach(with_depth, path, features=ALL).teaching
-    assert (len(mixed.demonstrations), mixed.remarks) == (2, [line])
-
-
-def test_recordings_with_different_features_need_a_choice(with_depth: Path, tmp_path: Path) -> None:
-    path = record(with_depth, drive("plain"))
+@pytest.mark.parametrize("command", [learn, partial(learn_paper, settings=Settings())])
+def test_learning_refuses_depth_in_one_line(tmp_path: Path, command: Callable[..., None]) -> None:
+    path = record(tmp_path, drive("e"))
+    depth = FeatureSettings.of(("hog", "depth"))
     with pytest.raises(UsageError) as caught:
-        learn([with_depth], tmp_path / "model.smal")
-    assert "\n" not in str(caught.value)
-    for part in (
-        f"{with_depth}/drive-0.mcap holds color,hog,depth",
-        f"{path} holds color,hog)",
-        "with --modalities",
-    ):
-        assert part in str(caught.value)
-    learn([with_depth], tmp_path / "model.smal", modalities=FeatureSettings())
-    assert len(PaperModel.load(tmp_path / "model.smal").names) == 3
+        command(lessons=Lessons([path], tmp_path / "model.smal", depth))
+    why = "recordings hold no depth images; omit depth"
+    assert str(caught.value) == f"features hog,depth: {why}"
 
 
-def test_a_map_has_no_depth(tmp_path: Path) -> None:
-    """It is refused where it is asked for, and left out where it is only recorded."""
-    features = FeatureSettings.of(("thumbnail", "depth"))
-    out = tmp_path / "model.smal"
-    path = record(tmp_path, drive("drive-0", features=features))
-    with pytest.raises(UsageError) as caught:
-        learning.learn([path], out, modalities=features)
-    said = "a map of views has no depth; leave depth out, or use `smal paper learn`"
-    assert str(caught.value) == f"--modalities thumbnail,depth: {said}"
-    learning.learn([path], out)
-    assert Model.load(out).feature_settings == FeatureSettings(("thumbnail",))
-    # Where nothing else was recorded the usual features are computed from the images.
-    path = record(tmp_path, drive("drive-1", features=FeatureSettings.of(("depth",))))
-    assert learning._features([path], None) == FEATURES
+def test_learning_ignores_features_of_old_recordings(tmp_path: Path) -> None:
+    """Earlier recordings hold features; the images teach, whatever the features are."""
+    began, *sent = drive("e")
+    vector = Float32Array.from_numpy(np.ones(3, np.float32))
+    old = [
+        Observation.after(m, fingerprint="0123456789ab", modalities=("hog",), features=vector)
+        for m in sent
+        if m.topic_name == "camera/jpeg"
+    ]
+    path = record(tmp_path, [began, *old, *sent])
+    learn(lessons=Lessons([path], tmp_path / "model.smal"))
+    assert Model.load(tmp_path / "model.smal").feature_settings == FeatureSettings()
+    assert teach(path).teaching.remarks == []
+
+
+def test_a_recording_teaches_any_features_of_its_images(tmp_path: Path) -> None:
+    wanted = FeatureSettings.of(("thumbnail", "gist"))
+    path = record(tmp_path, drive("e"))
+    (one,) = teach(path, features=wanted).teaching.demonstrations
+    assert one.rows.shape == (40, wanted.size)

@@ -25,7 +25,7 @@ DEMONSTRATE = "demonstrate --world yard"
 LEARN = "paper learn --out new"
 IMPORT = "import folder --out new"
 EXPORT = "export folder --out new"
-LAPS = "evaluate --out new --laps"
+LAPS = "laps --out new"
 WORLD = "world import map.osm --out new.json"
 
 #: A model with options of ``run`` and ``up`` that do not fit it.
@@ -53,7 +53,8 @@ MISTAKES = [
     ("demonstrate --camera big", 2, "--camera"),
     ("demonstrate --shake nan", 2, "--shake"),
     ("demonstrate --goal \n", 2, "--goal"),
-    ("demonstrate --modalities smell", 2, "--modalities"),
+    ("up --modalities smell", 2, "--modalities"),
+    ("up --modalities hog,depth", 2, "recordings hold no depth images"),
     ("demonstrate --camera 160x120 --connect tcp/127.0.0.1:9", 2, "--camera"),
     ("demonstrate --world atlantis", 2, "atlantis.*campus"),
     (f"{DEMONSTRATE} --out file", 2, "--out"),
@@ -115,8 +116,6 @@ MISTAKES = [
     (f"{LAPS} none", 2, "no such file or folder"),
     (f"{LAPS} full", 2, "no recording"),
     (f"{LAPS} damaged-tub", 1, "not the manifest of a tub"),
-    (f"{LAPS} tub --quick", 2, "--quick"),
-    (f"{LAPS} tub --world yard", 2, "--world"),
     ("topic echo --count 0", 2, "--count"),
     ("topic hz --seconds nan", 2, "--seconds"),
     ("topic info stat", 2, "did you mean: state?"),

@@ -24,7 +24,7 @@ from tests.services.waiting import eventually
 
 
 class Nobody:
-    """Takes the place of the console's service: notes what is asked for, and does nothing."""
+    """Replace the console's service: record the requests, and do nothing."""
 
     live = SimpleNamespace(learned=None)
 
@@ -64,7 +64,7 @@ def nobody(tmp_path: Path) -> Nobody:
 @pytest.fixture
 def page(nobody: Nobody, tmp_path: Path) -> Iterator[Page]:
     """Give a page that is open to this machine, without a bus."""
-    server = WebServer(nobody, Board(), ConsoleSettings(root=tmp_path, console="127.0.0.1:0"))  # type: ignore[arg-type]
+    server = WebServer(nobody, Board(), ConsoleSettings(root=tmp_path, console="127.0.0.1:0"))
     page = Page(server)
     yield page
     page.close()
@@ -73,7 +73,7 @@ def page(nobody: Nobody, tmp_path: Path) -> Iterator[Page]:
 
 @pytest.fixture
 def seated(page: Page) -> Page:
-    """Give a page whose person drives."""
+    """Give a page that drives."""
     page.take()
     eventually(lambda: page.word)
     return page
@@ -81,7 +81,7 @@ def seated(page: Page) -> Page:
 
 @dataclass(frozen=True)
 class Console:
-    """What runs in the process of the test."""
+    """The console that runs in the process of the test."""
 
     service: ConsoleService
     board: Board
@@ -91,7 +91,7 @@ class Console:
 
 @pytest.fixture
 def robot(request: pytest.FixtureRequest, settings: ServiceSettings, run_node: RunNode) -> Robot:
-    """Give a robot on a line that moves only while an operator is there, unless the test says otherwise."""
+    """Give an attended robot on a line, or an unattended one by parameter."""
     return run_robot(settings, run_node, attended=getattr(request, "param", True))
 
 

@@ -1,4 +1,4 @@
-"""A page as a test has it: two sockets, and what a person does at it."""
+"""A page for tests: two sockets, and the actions of a person."""
 
 from __future__ import annotations
 
@@ -71,8 +71,7 @@ class Page:
         threading.Thread(target=self._answer, args=(self._drive,), daemon=True).start()
 
     def say(self, **what: object) -> None:
-        """Ask for something, at the wheel."""
-        assert self._drive is not None
+        """Send a request of the driver."""
         # Whoever leaves leaves, whenever that comes.
         self._drive.send(
             json.dumps(what if what["do"] in ("leave", "stop") else {"beat": self.beat} | what)
@@ -117,7 +116,7 @@ class Page:
         }
 
     def news(self) -> str:
-        """Return what the page tells."""
+        """Return the news that the page shows."""
         return "\n".join(line["text"] for line in self.state.get("news", []))
 
     def sit(self) -> None:

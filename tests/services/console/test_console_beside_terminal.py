@@ -1,4 +1,4 @@
-"""A page beside somebody at a terminal: whoever holds the robot holds it until they let go."""
+"""A page beside a terminal: the operator that took over keeps the robot."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -27,7 +27,7 @@ def terminal(robot: Robot, settings: ServiceSettings) -> Iterator[Node]:
         yield node
 
 
-def test_a_page_does_not_undo_the_takeover_of_somebody_at_a_terminal(
+def test_page_keeps_the_takeover_of_a_terminal(
     terminal: Node,
     robot: Robot,
     recorder: RecorderService,
@@ -35,7 +35,6 @@ def test_a_page_does_not_undo_the_takeover_of_somebody_at_a_terminal(
     open_page: Callable[[], Page],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """By Drive, which asks for an episode of its person's own, and then Run."""
     monkeypatch.setattr(robot.gate, "watch", misses_nobody)
     operator = Operator(terminal, (told := []).append)
     terminal.every(POLL_S, operator.poll)

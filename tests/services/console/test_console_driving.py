@@ -1,4 +1,4 @@
-"""A page drives the real actuator, and whatever becomes of the page, the robot stands in time."""
+"""A page drives the real actuator; the robot stands in time when the page fails."""
 
 import threading
 import time
@@ -53,9 +53,7 @@ def goes(page: Page, robot: Robot) -> bool:
     return robot.wheels.driven
 
 
-def test_what_the_camera_sees_is_shown_before_a_drive_begins(
-    robot: Robot, open_page: OpenPage
-) -> None:
+def test_page_shows_the_camera_before_a_drive(robot: Robot, open_page: OpenPage) -> None:
     page = open_page()
     eventually(lambda: page.pictures)
     robot.wheels.x = 12.0  # somebody carries it
@@ -63,7 +61,7 @@ def test_what_the_camera_sees_is_shown_before_a_drive_begins(
 
 
 @unattended
-def test_a_drive_is_begun_driven_recorded_and_ends_where_the_goal_is_found(
+def test_drive_is_begun_driven_recorded_and_ended_by_the_page(
     robot: Robot,
     recorder: RecorderService,
     open_page: OpenPage,
@@ -108,19 +106,10 @@ def test_a_drive_is_begun_driven_recorded_and_ends_where_the_goal_is_found(
     assert (status, picture[:2]) == (200, b"\xff\xd8")
 
 
-def test_a_key_that_is_let_go_stops_at_once(driving: Page, robot: Robot, lost_s: Lost) -> None:
-    driving.held = None
-    let_go_s = time.monotonic()
-    eventually(lambda: not robot.wheels.driven)
-    assert robot.wheels.stands_s - let_go_s <= STAND_WITHIN_S + lost_s(let_go_s)
-    assert robot.gate.stop_cause is None, "whoever drives is still there"
-
-
 @pytest.mark.parametrize("how", ["vanished", "silent"])
 def test_a_page_that_is_gone_stands_the_robot(
     driving: Page, robot: Robot, lost_s: Lost, how: str
 ) -> None:
-    """Cut off without a word, or still connected but asleep."""
     gone_s = time.monotonic()
     if how == "vanished":
         driving.vanish()
@@ -131,10 +120,7 @@ def test_a_page_that_is_gone_stands_the_robot(
     eventually(lambda: robot.gate.stop_cause == "operator_lost")
 
 
-def test_answers_that_come_late_move_nothing_and_who_comes_back_goes_on_when_they_say_so(
-    driving: Page, robot: Robot
-) -> None:
-    """What a sleeping laptop or a slow link delivers afterwards was meant for another moment."""
+def test_late_answers_do_not_move_the_robot(driving: Page, robot: Robot) -> None:
     driving.late_s = 1.5 * LET_GO_S
     eventually(lambda: not robot.wheels.driven)
     beats = driving.beats
@@ -153,8 +139,7 @@ def test_answers_that_come_late_move_nothing_and_who_comes_back_goes_on_when_the
 
 
 @unattended
-def test_what_was_asked_long_ago_is_not_done(driving: Page, robot: Robot) -> None:
-    """What a slow link or a console that was frozen delivers afterwards must not have a robot move by itself."""
+def test_page_request_is_refused_when_it_is_old(driving: Page, robot: Robot) -> None:
     asked_at = driving.beat
     episode = driving.state["robot"]["episode"]
     driving.answers = False
@@ -179,7 +164,6 @@ def test_what_was_asked_long_ago_is_not_done(driving: Page, robot: Robot) -> Non
 def test_an_emergency_stop_overtakes_a_flood(
     driving: Page, robot: Robot, console: Console, open_page: OpenPage
 ) -> None:
-    """Somebody who drives says thousands of things; the stop of whoever watches waits for none but one of them."""
     other = open_page()
     eventually(lambda: other.robot(answers=True))
     flooding = True
@@ -222,7 +206,9 @@ def test_one_drives_and_others_watch(driving: Page, robot: Robot, open_page: Ope
     eventually(seated)
 
 
-def test_whoever_stands_up_is_not_missed(driving: Page, robot: Robot, open_page: OpenPage) -> None:
+def test_robot_does_not_miss_an_operator_that_left(
+    driving: Page, robot: Robot, open_page: OpenPage
+) -> None:
     driving.held = None
     eventually(lambda: not robot.wheels.driven)
     driving.say(do="leave")
@@ -234,10 +220,9 @@ def test_whoever_stands_up_is_not_missed(driving: Page, robot: Robot, open_page:
     eventually(lambda: other.beats)
 
 
-def test_anybody_stops_it_for_an_emergency(
+def test_any_page_stops_the_robot(
     driving: Page, robot: Robot, open_page: OpenPage, lost_s: Lost
 ) -> None:
-    """Whoever drives also by the socket that they drive by, where all places to watch are taken."""
     other = open_page()
     eventually(lambda: other.robot(answers=True))
     for who in ("a watcher", "the driver"):
@@ -261,7 +246,7 @@ def test_anybody_stops_it_for_an_emergency(
 
 
 @unattended
-def test_nonsense_moves_nothing_and_is_told(
+def test_page_nonsense_is_refused_and_moves_nothing(
     driving: Page, robot: Robot, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert driving._drive is not None
@@ -278,14 +263,14 @@ def test_nonsense_moves_nothing_and_is_told(
 
 def _ended(socket: object) -> int | None:
     try:
-        socket.recv(0.1)  # type: ignore[attr-defined]
+        socket.recv(0.1)
     except Exception:  # noqa: BLE001 - it is closed, or nothing has come yet
-        return socket.close_code  # type: ignore[attr-defined, no-any-return]
+        return socket.close_code
     return None
 
 
 @pytest.mark.parametrize("how", ["leaves", "falls silent"])
-def test_nothing_begins_for_who_has_left_before_it_could(
+def test_episode_does_not_begin_when_its_person_has_left(
     robot: Robot,
     console: Console,
     open_page: OpenPage,
@@ -293,7 +278,6 @@ def test_nothing_begins_for_who_has_left_before_it_could(
     run_node: RunNode,
     how: str,
 ) -> None:
-    """A model takes seconds to load; a robot must not set out then with nobody there."""
     asked = threading.Event()
     goes_on = threading.Event()
 

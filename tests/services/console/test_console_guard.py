@@ -1,4 +1,4 @@
-"""Who gets in: names, origins, tokens; and what the page may not do."""
+"""Access to the page: host names, origins, tokens, and its content security policy."""
 
 import ssl
 import subprocess
@@ -27,7 +27,7 @@ TOKEN = "correct horse battery"  # noqa: S105 - of a test
 
 
 def test_a_foreign_name_is_refused(page: Page) -> None:
-    """A name of somebody else's may be made to lead here: then their page would be of our origin."""
+    """Another name of this host would give a foreign page our origin."""
     for host in ("evil.example", "127.0.0.1.evil.example:8080", "[::1].evil", "", "127.0.0.2"):
         answered, said = page.get("/", Host=host)
         assert (answered, b"<html" in said) == (421, False), host
@@ -51,7 +51,7 @@ def test_sockets_are_for_the_page_alone(page: Page) -> None:
                 page.open(path, origin=origin)
 
 
-def test_only_what_the_page_has_is_answered(page: Page) -> None:
+def test_server_answers_only_the_paths_of_the_page(page: Page) -> None:
     # Python refuses to read a number of more than 4,300 digits, with an exception.
     numbered = [f"/taught/0123456789abcdef/{number}" for number in ("0", "9" * 5000)]
     for path in ("/../config.py", "/..%2f..%2fconfig.py", *numbered):
@@ -62,7 +62,7 @@ def test_only_what_the_page_has_is_answered(page: Page) -> None:
 @pytest.mark.parametrize(
     ("opcode", "said"), [(0x1, b'{"do":"stop"}'), (0x9, b"")], ids=["stop", "ping"]
 )
-def test_whoever_floods_a_socket_leaves_its_turn_to_who_drives(
+def test_flood_of_a_watcher_does_not_delay_the_driver(
     seated: Page,
     nobody: Nobody,
     monkeypatch: pytest.MonkeyPatch,
@@ -70,7 +70,6 @@ def test_whoever_floods_a_socket_leaves_its_turn_to_who_drives(
     opcode: int,
     said: bytes,
 ) -> None:
-    """The robot misses a driver who is not heard for LEASE_S."""
     heard_s: list[float] = []
     monkeypatch.setattr(nobody, "hold", lambda _atom, _sent_s: heard_s.append(time.monotonic()))
     frame = bytes((0x80 | opcode, 0x80 | len(said), 0, 0, 0, 0)) + said
@@ -118,10 +117,10 @@ def serve(keys: Path, console: str = "127.0.0.1:0", **others: object) -> WebServ
         "console_token": keys / "token",
     }
     settings = ConsoleSettings.model_validate({"root": keys, "console": console} | given | others)
-    return WebServer(Nobody(keys), Board(), settings)  # type: ignore[arg-type]
+    return WebServer(Nobody(keys), Board(), settings)
 
 
-def test_elsewhere_only_who_knows_the_token_gets_in_and_all_is_encrypted(keys: Path) -> None:
+def test_remote_page_needs_the_token_over_tls(keys: Path) -> None:
     with closing(serve(keys)) as server:
         trusted = ssl.create_default_context(cafile=str(keys / "cert.pem"))
         address = server.address.removeprefix("https://").replace("127.0.0.1", "localhost")
@@ -156,11 +155,11 @@ def test_elsewhere_only_who_knows_the_token_gets_in_and_all_is_encrypted(keys: P
             assert "now" in str(watch.recv(5.0))
 
 
-def test_a_certificate_that_is_of_no_use_is_said_before_anything_is_served(keys: Path) -> None:
+def test_console_does_not_start_when_its_certificate_is_invalid(keys: Path) -> None:
     subprocess.run(
         ["openssl", "genpkey", "-algorithm", "ed25519", "-out", "key.pem"], cwd=keys, check=True
     )
-    with pytest.raises(ServiceError, match="are of no use"):
+    with pytest.raises(ServiceError, match="invalid certificate or key"):
         serve(keys)
 
 
@@ -170,12 +169,12 @@ def test_a_certificate_that_is_of_no_use_is_said_before_anything_is_served(keys:
         (
             "0.0.0.0:0",
             {"console_token": None, "console_cert": None, "console_key": None},
-            "other machines reach it",
+            "reachable by other machines",
         ),
-        ("0.0.0.0:0", {"console_token": None}, "other machines reach it"),
-        ("127.0.0.1:0", {"console_token": None}, "go together"),
-        ("127.0.0.1:0", {"console_key": None}, "go together"),
-        ("127.0.0.1:99999", {}, "no such port"),
+        ("0.0.0.0:0", {"console_token": None}, "reachable by other machines"),
+        ("127.0.0.1:0", {"console_token": None}, "required together"),
+        ("127.0.0.1:0", {"console_key": None}, "required together"),
+        ("127.0.0.1:99999", {}, "invalid port"),
     ],
 )
 def test_a_page_that_would_be_open_to_others_is_not_served(

@@ -1,4 +1,4 @@
-"""What takes long is a process of its own: it tells how far it is, is cancelled, and leaves nothing behind."""
+"""Long jobs run as processes: they report progress, can be cancelled, and leave nothing behind."""
 
 import sys
 from collections.abc import Callable
@@ -81,7 +81,7 @@ def test_a_job_tells_how_far_it_is_and_how_it_ended(
 def test_a_job_is_cancelled_and_one_runs_at_a_time(jobs_of: JobsOf, tmp_path: Path) -> None:
     jobs, shown = jobs_of("time.sleep(60)")
     jobs.begin(learning(tmp_path / "way.smal"))
-    with pytest.raises(ServiceError, match="something else is being made"):
+    with pytest.raises(ServiceError, match="another job is running"):
         jobs.begin(learning(tmp_path / "other.smal"))
     eventually(lambda: any(one.get("stage") == "reading" for one in shown))
     jobs.cancel()
@@ -99,7 +99,7 @@ DEAF = "signal.signal(signal.SIGTERM, signal.SIG_IGN); print(STAGE, flush=True);
 
 
 @pytest.mark.parametrize(
-    ("patience_s", "outcome", "why"), [(60.0, "cancelled", ""), (3.0, "failed", "it said nothing")]
+    ("patience_s", "outcome", "why"), [(60.0, "cancelled", ""), (3.0, "failed", "no output for")]
 )
 def test_a_job_that_does_not_hear_is_ended(
     jobs_of: JobsOf,
@@ -121,7 +121,7 @@ def test_a_job_that_does_not_hear_is_ended(
     assert not jobs.running
 
 
-def test_a_model_learns_more_from_runs_and_says_what_came_of_it(tmp_path: Path) -> None:
+def test_model_learns_more_from_runs_and_reports_the_result(tmp_path: Path) -> None:
     (tmp_path / "models").mkdir()
     (tmp_path / "drives").mkdir()
     model = corridor.save_model(tmp_path / "models" / "way.smal")
@@ -133,10 +133,10 @@ def test_a_model_learns_more_from_runs_and_says_what_came_of_it(tmp_path: Path) 
     console = SimpleNamespace(library=library, _jobs=Jobs(shown.append))
     runs = tuple(one.name for one in library.recordings())
     ask = Add(do="add", beat=0, model="models/way.smal", recordings=runs)
-    ConsoleService._learn(console, ask)  # type: ignore[arg-type]  # what it needs of a console
+    ConsoleService._learn(console, ask)
     end = ended(shown)  # it gives way to all that a busy machine does
-    assert (end["outcome"], end["done"]) == ("done", "way has looked at these runs."), end
+    assert (end["outcome"], end["done"]) == ("done", "way has learned from these runs."), end
     assert "more looks now" in str(end["remarks"])
     assert len(Model.load(model).mapped.looks) > 0
-    with pytest.raises(ServiceError, match="no such model"):
-        ConsoleService._learn(console, ask.model_copy(update={"model": "models/none.smal"}))  # type: ignore[arg-type]
+    with pytest.raises(ServiceError, match="model not found"):
+        ConsoleService._learn(console, ask.model_copy(update={"model": "models/none.smal"}))

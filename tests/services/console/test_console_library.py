@@ -1,4 +1,4 @@
-"""What was recorded and learned, as the page lists it; names and files may be anybody's."""
+"""The list of recordings and models; names and files are untrusted."""
 
 import multiprocessing
 import signal
@@ -43,11 +43,11 @@ def library(tmp_path: Path) -> Library:
     return Library(tmp_path)
 
 
-def test_a_recording_has_its_outcome_its_length_and_pictures_along_the_drive(
+def test_library_lists_outcome_length_and_pictures(
     library: Library,
 ) -> None:
     listed = library.look()
-    (shown,) = listed["recordings"]  # type: ignore[misc]
+    (shown,) = listed["recordings"]
     assert shown["name"] == "drives/drive-1.mcap"
     assert (shown["outcome"], shown["frames"], shown["thumbnails"], shown["useless"]) == (
         "found",
@@ -73,22 +73,21 @@ def test_a_reader_ends_that_has_worked_for_too_long() -> None:
     assert process.exitcode == -signal.SIGXCPU
 
 
-def test_a_file_that_ends_its_reader_is_unreadable_and_the_next_is_read(library: Library) -> None:
+def test_library_goes_on_when_a_file_kills_its_reader(library: Library) -> None:
     path = library.root / "drives" / "drive-1.mcap"
     listed = ListedRecording("drives/drive-1.mcap", 1.0, 5)
     with closing(Reader()) as reader:
         assert reader.read(path, listed).outcome == "found"
         reader.stop()
-        died = "it cannot be read: the process that read it has died"
+        died = "cannot be read: the reading process has died"
         assert reader.read(path, listed) == replace(listed, useless=died)
         assert reader.read(path, listed).outcome == "found"
     assert not [one for one in multiprocessing.active_children() if one.name == "recordings"]
 
 
-def test_what_is_known_is_shown_while_more_is_read(
+def test_library_shows_known_files_while_it_reads(
     library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A file that unpacks to far more than its size is listed as unreadable, and keeps nobody."""
     monkeypatch.setattr("services.console.library._SHOW_S", 0.0)
     chunk = Chunk("zstd", zstandard.compress(bytes(64 << 20)), 0, 0, 0, 64 << 20)
     builder = RecordBuilder()
@@ -108,7 +107,7 @@ def test_what_is_known_is_shown_while_more_is_read(
 @pytest.mark.parametrize(
     ("outcome", "why"), [("collision", "collision"), ("aborted", "did not reach the victim")]
 )
-def test_what_teaches_nothing_says_why(tmp_path: Path, outcome: Any, why: str) -> None:
+def test_library_names_why_a_recording_is_useless(tmp_path: Path, outcome: Any, why: str) -> None:
     record(tmp_path / "drives", list(recorded_messages.episode("drive-1", outcome=outcome)))
     (tmp_path / "drives" / "broken.mcap").write_bytes(b"nonsense")
     (tmp_path / "models").mkdir()
@@ -135,12 +134,12 @@ def test_links_out_of_the_root_and_hidden_files_are_not_listed(tmp_path: Path) -
     assert library.look() == {"folder": None, "recordings": [], "models": []}
 
 
-def test_a_model_tells_its_goals_and_the_worlds_of_the_recordings_that_are_there(
+def test_library_lists_goals_and_worlds_of_a_model(
     tmp_path: Path,
 ) -> None:
     corridor.save_model(tmp_path / "corridor.smal")
     library = Library(tmp_path)
-    (shown,) = library.look()["models"]  # type: ignore[misc]
+    (shown,) = library.look()["models"]
     assert shown == {"name": "corridor.smal", "goals": ("victim",), "useless": "", "worlds": []}
     (model,) = library.models()
     assert (model.longest, model.fingerprint) == (corridor.FRAMES, corridor.FEATURES.fingerprint)
@@ -150,11 +149,11 @@ def test_a_model_tells_its_goals_and_the_worlds_of_the_recordings_that_are_there
         [one.model_copy(update={"episode": episode}) for one in recorded_messages.episode("e")],
     )
     record(tmp_path / "drives", list(recorded_messages.episode("other")))
-    (shown,) = library.look()["models"]  # type: ignore[misc]
+    (shown,) = library.look()["models"]
     assert shown["worlds"] == [library.recordings()[0].world]
 
 
-def test_only_what_is_listed_is_deleted(
+def test_library_deletes_only_listed_recordings(
     console: Console, robot: Robot, open_page: Callable[[], Page]
 ) -> None:
     kept = record(console.root / "other", list(recorded_messages.episode("drive-1")))
@@ -173,12 +172,11 @@ def test_only_what_is_listed_is_deleted(
         page.say(do="delete", recording=name)
     page.say(do="delete", recording="drives/drive-2.mcap")
     eventually(lambda: not page.state["library"]["recordings"])
-    assert page.news().count("no such recording") == 5
+    assert page.news().count("recording not found") == 5
     assert kept.exists()
     assert not gone.exists()
 
 
-@pytest.mark.parametrize("scheme", ["filter", "paper"])
 def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
     console: Console,
     robot: Robot,
@@ -186,12 +184,9 @@ def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
     open_page: Callable[[], Page],
     settings: ServiceSettings,
     run_node: RunNode,
-    scheme: str,
 ) -> None:
-    """Recorded as well, since a person may correct it by hand."""
     loaded: list[tuple[str, LoadRequest]] = []
-    model = corridor.model() if scheme == "filter" else corridor.paper_model()
-    model.save(console.root / "corridor.smal")
+    corridor.save_model(console.root / "corridor.smal")
     features = Node("features", settings)
     features.detail = lambda: {"fingerprint": corridor.FEATURES.fingerprint}
     chain = {name: Node(name, settings) for name in ("recognition", "policy")}
@@ -199,7 +194,7 @@ def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
 
         def load(request: LoadRequest, name: str = name) -> LoadReply:
             loaded.append((name, request))
-            return LoadReply(scheme=model.scheme, stride=1)
+            return LoadReply(scheme="filter", stride=1)
 
         node.serve("load", LoadRequest, load)
     for node in (features, *chain.values()):
@@ -208,11 +203,9 @@ def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
     eventually(lambda: page.state.get("library", {}).get("models"))
     page.take()
     eventually(lambda: page.beats and page.robot(answers=True))
-    # The page has no goals to choose from for the paper's scheme.
-    goal = "victim" if scheme == "filter" else None
-    run = {"model": "corridor.smal", "goal": goal, "start": "start", "seed": 7}
+    run = {"model": "corridor.smal", "goal": "victim", "start": "start", "seed": 7}
     page.insist(lambda: str(page.state["robot"]["episode"]).startswith("run-7-"), do="run", **run)
-    wanted = LoadRequest(model="corridor.smal", goal=goal)
+    wanted = LoadRequest(model="corridor.smal", goal="victim")
     assert loaded[:2] == [("policy", wanted), ("recognition", wanted)]
     page.insist(lambda: page.state["library"]["recordings"], do="end", found=True)
     (recording,) = page.state["library"]["recordings"]

@@ -1,4 +1,4 @@
-"""Maps that a page sends: only whoever drives sends one, and whatever happens, nothing of it is left behind."""
+"""Maps that a page sends: only the driver may send them, and failed uploads leave nothing behind."""
 
 import os
 import tempfile
@@ -29,7 +29,7 @@ def kept() -> int:
     return sum(file.startswith(f"{tempfile.gettempdir()}/#") for file in files)
 
 
-def test_a_map_of_whoever_drives_is_taken_whole(seated: Page, nobody: Nobody) -> None:
+def test_map_of_the_driver_is_taken_whole(seated: Page, nobody: Nobody) -> None:
     sent = os.urandom(300_000)
     assert seated.post("/map?name=My+town", sent) == (202, "taken\n")
     assert (nobody.maps, kept()) == ([("My town", sent)], 0)
@@ -37,11 +37,11 @@ def test_a_map_of_whoever_drives_is_taken_whole(seated: Page, nobody: Nobody) ->
 
 def test_a_map_that_may_not_be_taken_is_not(seated: Page, nobody: Nobody) -> None:
     for path, headers, status, why in (
-        ("/map?name=town", {"Smal-Seat": "guess"}, 403, "only who drives"),
+        ("/map?name=town", {"Smal-Seat": "guess"}, 403, "permission denied: take control"),
         ("/map?name=town", {"Origin": "http://evil.example"}, 403, "only the console's own page"),
         ("/map?name=..%2Ftown", {}, 400, "the world's name"),
         (f"/map?name={quote('𠀀') * 51}", {}, 400, "at most 200 bytes"),
-        ("/", {}, 405, "nothing is changed this way"),
+        ("/", {}, 405, "unsupported method"),
     ):
         answer, said = seated.post(path, b"<osm/>", **headers)
         assert (answer, why in said, said.count("\n")) == (status, True, 1), said
@@ -59,7 +59,7 @@ def test_a_map_that_is_too_large_ends_early(
     monkeypatch.setattr("services.console.web._LARGEST_MAP", 1_000_000)
     assert seated.post("/map?name=town", bytes(1_000_001)) == (
         413,
-        "a map has at most 1 MB; cut it smaller\n",
+        "map too large (maximum 1 MB); cut it smaller\n",
     )
     assert (nobody.maps, kept()) == ([], 0)
 
@@ -70,8 +70,7 @@ def head(page: Page, *lines: str) -> bytes:
     return "\r\n".join((*own, *lines, "", "")).encode()
 
 
-def test_whoever_stands_up_sends_no_further(seated: Page, nobody: Nobody) -> None:
-    """The word of a seat is of no use to anybody later."""
+def test_map_upload_ends_when_its_sender_leaves_the_seat(seated: Page, nobody: Nobody) -> None:
     with connected(seated) as sending:
         sending.sendall(
             head(seated, f"Smal-Seat: {seated.word}", "Content-Length: 20") + b"first half"
@@ -86,7 +85,7 @@ def test_whoever_stands_up_sends_no_further(seated: Page, nobody: Nobody) -> Non
     eventually(lambda: not kept())
 
 
-def test_a_stranger_who_begins_to_send_is_refused_at_once(seated: Page) -> None:
+def test_map_upload_of_a_stranger_is_refused_at_once(seated: Page) -> None:
     with connected(seated) as sending:
         sending.sendall(head(seated, "Content-Length: 20"))
         assert b" 403 " in sending.recv(100)

@@ -1,14 +1,11 @@
-"""A world that the robot opens for a page: who has left or cancels meanwhile drives nothing, and a stop is heard."""
+"""A page that leaves, cancels or stops while the robot opens a world."""
 
-import itertools
 import threading
-import time
 from collections.abc import Callable
 
 import pytest
 
 from schemas.rpc import ResetRequest
-from services.kit.going_on import each
 from services.recorder.service import RecorderService
 from services.robot.body import Beginning
 from tests.services.console.conftest import Console
@@ -39,10 +36,9 @@ def opening(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> Opening:
 
 @unattended
 @pytest.mark.parametrize("how", ["leave", "withdraw"])
-def test_an_episode_ends_at_once_whose_person_has_left_or_cancelled_while_another_world_was_opened(
+def test_episode_ends_when_its_person_left_while_a_world_opened(
     recorder: RecorderService, console: Console, open_page: OpenPage, opening: Opening, how: str
 ) -> None:
-    """Its body tells of no steps between which it could end."""
     asked, goes_on = opening
     page = open_page()
     other = open_page()
@@ -61,7 +57,7 @@ def test_an_episode_ends_at_once_whose_person_has_left_or_cancelled_while_anothe
     eventually(lambda: other.robot(episode=None, waiting=False))
 
 
-def test_an_emergency_stop_while_another_world_is_opened_is_latched_when_it_is(
+def test_emergency_stop_is_latched_while_a_world_opens(
     robot: Robot, recorder: RecorderService, open_page: OpenPage, opening: Opening
 ) -> None:
     asked, goes_on = opening
@@ -76,41 +72,3 @@ def test_an_emergency_stop_while_another_world_is_opened_is_latched_when_it_is(
     eventually(lambda: page.state["robot"]["episode"] is not None)
     assert robot.gate.stop_cause == "emergency_stop"
     assert not robot.wheels.driven
-
-
-@pytest.fixture
-def endless(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> threading.Event:
-    """Have the robot open a world of which there is always more, until it is told not to go on."""
-    asked = threading.Event()
-
-    def open_world(_: ResetRequest) -> Beginning:
-        for _ in each(itertools.count()):
-            asked.set()
-            time.sleep(0.001)
-        raise AssertionError
-
-    monkeypatch.setattr(robot.wheels, "begin", open_world)
-    return asked
-
-
-@unattended
-def test_the_opening_of_a_world_is_cancelled_and_the_next_drive_begins(
-    robot: Robot,
-    recorder: RecorderService,
-    open_page: OpenPage,
-    endless: threading.Event,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    page = open_page()
-    page.sit()
-    page.insist(endless.is_set, do="drive", goal="dock")
-    eventually(lambda: page.robot(waiting=True))
-    page.insist(lambda: page.robot(waiting=False, episode=None), do="withdraw")
-    assert (
-        "robot reset: cancelled by its requester; the robot is in line, without an episode"
-        in page.news()
-    )
-    page.say(do="withdraw")
-    eventually(lambda: "no episode is beginning; nothing to cancel" in page.news())
-    monkeypatch.undo()
-    page.insist(lambda: page.state["robot"]["episode"] is not None, do="drive", goal="dock")

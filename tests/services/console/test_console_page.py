@@ -1,4 +1,4 @@
-"""What the page makes of what it is told, in a real browser, without a stack."""
+"""The page in a real browser, without a stack."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def board() -> Board:
 @pytest.fixture
 def page(browser: Browser, nobody: Nobody, board: Board, tmp_path: Path) -> Iterator[Page]:
     """Open the page; a test in which its script fails has failed."""
-    server = WebServer(nobody, board, ConsoleSettings(root=tmp_path, console="127.0.0.1:0"))  # type: ignore[arg-type]
+    server = WebServer(nobody, board, ConsoleSettings(root=tmp_path, console="127.0.0.1:0"))
     errors: list[str] = []
     page = browser.new_page()
     page.on("pageerror", lambda error: errors.append(str(error)))
@@ -74,7 +74,7 @@ def begin(page: Page, nobody: Nobody) -> Any:
 
 
 @pytest.mark.parametrize("name", ["map (1)", "<img src=x onerror=alert(1)>"])
-def test_a_robot_whose_world_has_a_name_that_cannot_be_asked_for_is_driven_there(
+def test_page_drives_a_world_when_its_name_is_unusable(
     page: Page, nobody: Nobody, board: Board, name: str
 ) -> None:
     """As `smal up --world "map (1).osm"` has it."""
@@ -162,7 +162,7 @@ def recording(name: str) -> dict[str, object]:
     return {"name": f"drives/{name}.mcap", "episode": name, **facts, **shown}
 
 
-def test_what_is_being_begun_is_cancelled_by_who_drives(
+def test_driver_cancels_an_episode_that_is_being_begun(
     page: Page, nobody: Nobody, board: Board
 ) -> None:
     told = {"episode": None, "answers": True, "emergency": False, "at": 0.0}
@@ -176,14 +176,14 @@ def test_what_is_being_begun_is_cancelled_by_who_drives(
     page.wait_for_selector("#withdraw", state="hidden")
 
 
-def test_where_the_robot_goes_and_what_stands_there_is_drawn_over_the_picture(
+def test_page_draws_course_and_obstacles_over_the_picture(
     page: Page, nobody: Nobody, board: Board
 ) -> None:
     """A box stands before it on the left; it drives on, in a bend to the right."""
     node = SimpleNamespace(
         subscribe=lambda *_, **__: None, apart=lambda *_: None, bus=None, name="console"
     )
-    live = LiveContent(node, board, nobody.library)  # type: ignore[arg-type]
+    live = LiveContent(node, board, nobody.library)
     frame = Message(robot="r", episode="e", tick=1, stamp_ns=0)
     measured = depth([(3.0, 0.5, 4.0, 2.0, 1.2)], (0.0, 0.0, 0.0), shape=(240, 320))
     picture = CompressedImage.after(
@@ -216,7 +216,7 @@ def test_where_the_robot_goes_and_what_stands_there_is_drawn_over_the_picture(
     assert drawn(250, 60) == [128, 128, 128]
 
 
-def test_a_box_that_is_drawn_in_the_picture_goes_with_found_unless_the_robot_moves_on(
+def test_box_goes_with_found_unless_the_robot_moves_on(
     page: Page, nobody: Nobody, board: Board
 ) -> None:
     def draw(*corners: tuple[float, float]) -> None:
@@ -232,7 +232,7 @@ def test_a_box_that_is_drawn_in_the_picture_goes_with_found_unless_the_robot_mov
     def found() -> tuple[float, ...] | None:
         page.click("#found")
         eventually(lambda: nobody.asked)
-        return nobody.asked.pop().box  # type: ignore[attr-defined, no-any-return]
+        return nobody.asked.pop().box
 
     told = {
         "episode": "e",
@@ -253,9 +253,7 @@ def test_a_box_that_is_drawn_in_the_picture_goes_with_found_unless_the_robot_mov
     assert found() is None
 
 
-def test_keys_and_sticks_are_velocities_and_nothing_held_is_none(
-    page: Page, nobody: Nobody
-) -> None:
+def test_keys_and_sticks_are_velocities(page: Page, nobody: Nobody) -> None:
     def has(*held: float) -> None:
         eventually(lambda: nobody.held == (pytest.approx(held) if held else None))
 

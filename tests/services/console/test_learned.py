@@ -1,4 +1,4 @@
-"""What the page knows of a model: beliefs that the model has no places for are not drawn."""
+"""Beliefs about places that the model lacks are not drawn."""
 
 from schemas.state import State
 from services.console.learned import learned_of

@@ -2,16 +2,13 @@
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import LineString, Point
 
-from schemas.array import Float32Array
 from schemas.base import Message
-from schemas.motion import Pose
-from schemas.observation import Observation
+from schemas.motion import TruePose
 from schemas.rpc import ResetReply
 from services.expert.driver import ExpertService, RouteDriver
 from services.robot.body import Kinematics
@@ -85,12 +82,10 @@ def test_driver_comes_back_from_beside_the_route() -> None:
 
 def frame(
     tick: int, x: float = 0.0, y: float = 0.0, heading: float = 0.0, episode: str = "e"
-) -> tuple[Pose, Observation]:
-    """Return what the expert hears of a frame."""
+) -> TruePose:
+    """Return the true pose of a frame."""
     cause = Message(robot="rescuebot", episode=episode, tick=tick, stamp_ns=tick)
-    vector = Float32Array.from_numpy(np.zeros(4, np.float32))
-    observation = Observation.after(cause, fingerprint="0123456789ab", features=vector)
-    return Pose.after(cause, x_m=x, y_m=y, heading_rad=heading), observation
+    return TruePose.after(cause, x_m=x, y_m=y, heading_rad=heading)
 
 
 def begun(expert: ExpertService, episode: str = "e") -> ExpertService:
@@ -103,29 +98,23 @@ def begun(expert: ExpertService, episode: str = "e") -> ExpertService:
     return expert
 
 
-def test_a_frame_is_answered_once_its_two_halves_are_there_and_always_the_same() -> None:
+def test_expert_answers_each_frame_with_one_command() -> None:
     expert = begun(ExpertService())
-    pose, observation = frame(0)
-    assert expert.see(pose) is None
-    first = expert.handle(observation)
-    pose, observation = frame(1, heading=1.0)
-    assert expert.handle(observation) is None
-    second = expert.see(pose)
+    assert expert.handle(frame(0, episode="other")) is None
+    first = expert.handle(frame(0))
+    second = expert.handle(frame(1, heading=1.0))
     assert first is not None
     assert second is not None
     assert (first.tick, first.atom, first.source) == (0, "forward", "expert")
     assert (second.tick, second.atom) == (1, "right")
-    assert expert.see(pose) == expert.handle(observation) == second, "a frame that is sent again"
+    assert expert.handle(frame(1, heading=1.0)) == second, "a frame that is sent again"
 
 
-def test_nothing_is_commanded_after_arrival() -> None:
+def test_expert_is_silent_after_arrival() -> None:
     expert = begun(ExpertService())
     for tick, y in enumerate((8.0, 8.0, 0.0)):
-        pose, observation = frame(tick, 10.0, y)
-        assert expert.see(pose) is expert.handle(observation) is None
+        assert expert.handle(frame(tick, 10.0, y)) is None
         assert expert.arrived
     begun(expert, "next")
     assert not expert.arrived
-    pose, observation = frame(0, episode="next")
-    expert.see(pose)
-    assert expert.handle(observation) is not None
+    assert expert.handle(frame(0, episode="next")) is not None

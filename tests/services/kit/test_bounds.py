@@ -1,4 +1,4 @@
-"""What a router lets one session ask in a second: a flood of calls is dropped at the door, of others nothing."""
+"""The bound on calls of one session: a router drops a flood of calls, and nothing of other sessions."""
 
 import time
 from contextlib import closing
@@ -17,7 +17,7 @@ STATUS = rpc_key("rescuebot", "robot", "status")
 FLOOD = 40_000  # More than a router lets through in the time that it takes to ask them.
 
 
-def test_every_call_that_a_role_may_make_is_bounded_and_no_message() -> None:
+def test_each_call_of_a_role_is_bounded() -> None:
     items: Any = settings_of("router", "tcp/127.0.0.1:1", None)["downsampling"]
     (item,) = items
     assert item["messages"] == ["query"]
@@ -25,7 +25,7 @@ def test_every_call_that_a_role_may_make_is_bounded_and_no_message() -> None:
     assert calls <= {rule["key_expr"] for rule in item["rules"]}
 
 
-def test_a_flood_of_calls_is_dropped_at_the_door_and_nothing_of_others_nor_any_stop(
+def test_flood_of_calls_is_dropped_while_stops_pass(
     router_endpoint: str,
 ) -> None:
     asked = [0]

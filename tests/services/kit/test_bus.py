@@ -1,4 +1,4 @@
-"""What may be counted on, in memory and over Zenoh; then what only Zenoh has: links, outages, addresses."""
+"""Guarantees of the bus: delivery and order, calls, outages, addresses."""
 
 import socket
 import threading
@@ -13,21 +13,16 @@ from schemas.base import Message, Strict
 from schemas.camera import DepthImage
 from schemas.codec import decode, encode, encoding_of
 from schemas.command import Command
-from schemas.motion import Pose
+from schemas.motion import TruePose
 from schemas.observation import Observation
 from schemas.rpc import EndRequest, Failure, Nothing
 from schemas.state import State
 from services.kit.bus import HEARTBEAT_S, Bus, BusError, Router, RpcError
 from tests.schemas.messages import EXAMPLES
+from tests.services.chain import command
 from tests.services.waiting import eventually
 
 Sample = tuple[bytes, str]
-
-
-def command(tick: int) -> Command:
-    return Command(
-        robot="rescuebot", episode="e", tick=tick, stamp_ns=0, source="teleop", atom="left"
-    )
 
 
 @pytest.fixture
@@ -64,13 +59,11 @@ def test_each_message_arrives_as_it_was_sent(client: Bus, other: Bus) -> None:
 
 def test_topics_that_are_equally_urgent_keep_their_order(client: Bus, other: Bus) -> None:
     ticks: list[int] = []
-    chain = (State, Pose, Observation)
+    chain = (State, TruePose, Observation)
     for cls in chain:
         other.subscribe(
             topics.TOPICS[EXAMPLES[cls].topic_name],
-            lambda payload, encoding, _transit_s, cls=cls: ticks.append(
-                decode(cls, payload, encoding).tick
-            ),
+            lambda *sample, cls=cls: ticks.append(decode(cls, *sample[:2]).tick),
         )
     for cls in chain:
         publish_until(client, EXAMPLES[cls].model_copy(update={"tick": 0}), lambda: bool(ticks))
@@ -81,7 +74,7 @@ def test_topics_that_are_equally_urgent_keep_their_order(client: Bus, other: Bus
     assert [tick for tick in ticks if tick] == list(range(1, 100))
 
 
-def test_nobody_waits_for_a_handler_but_what_follows_there(client: Bus, other: Bus) -> None:
+def test_handler_delays_only_its_own_lane(client: Bus, other: Bus) -> None:
     begun = threading.Event()
     release = threading.Event()
     handled = list[int]()
@@ -109,7 +102,7 @@ def test_nobody_waits_for_a_handler_but_what_follows_there(client: Bus, other: B
     assert len(threads) == len(threads - {threading.get_ident()}) == 1
 
 
-def test_who_has_left_neither_hears_nor_answers(
+def test_closed_bus_neither_receives_nor_answers(
     client: Bus, other: Bus, router_endpoint: str
 ) -> None:
     leaving = Bus("rescuebot", router_endpoint)
@@ -168,9 +161,7 @@ def call_when_served(
     return reply
 
 
-def test_a_call_that_is_refused_malformed_late_or_nobody_s(
-    client: Bus, other: Bus, router_endpoint: str
-) -> None:
+def test_call_names_the_reason_when_it_fails(client: Bus, other: Bus, router_endpoint: str) -> None:
     kept: list[Callable[[Strict], None]] = []
     other.serve("sim", "refused", lambda _request, reply: reply(Failure(error="no such episode")))
     other.serve("sim", "malformed", lambda _request, reply: reply(Nothing()))
@@ -212,7 +203,7 @@ def test_a_request_that_is_dropped_is_told_at_once(client: Bus, other: Bus) -> N
     assert asked.is_set()
 
 
-def test_a_service_that_leaves_keeps_nobody_waiting(client: Bus, router_endpoint: str) -> None:
+def test_call_fails_at_once_when_its_service_leaves(client: Bus, router_endpoint: str) -> None:
     leaving = Bus("rescuebot", router_endpoint)
     asked = list[Callable[[Strict], None]]()
     leaving.serve("sim", "end", lambda _request, reply: reply(EndRequest(episode="e")))
@@ -265,13 +256,11 @@ def test_messages_flow_again_after_the_router_was_away(free_endpoint: str) -> No
 
 
 def replayed(bus: Bus, topic: topics.Topic) -> Callable[[], list[int]]:
-    """Subscribe with replay; return what gives the ticks that have come so far."""
+    """Subscribe with replay; return a function that gives the ticks received."""
     ticks: list[int] = []
     bus.subscribe(
         topic,
-        lambda payload, encoding, _transit_s: ticks.append(
-            decode(topic.message, payload, encoding).tick
-        ),
+        lambda *sample: ticks.append(decode(topic.message, *sample[:2]).tick),
         replay=True,
     )
     return lambda: ticks
@@ -285,14 +274,13 @@ def replayed(bus: Bus, topic: topics.Topic) -> Callable[[], list[int]]:
     ],
     ids=["short", "longer than is asked for"],
 )
-def test_what_is_recorded_survives_an_outage_of_the_router(
+def test_recorded_topic_is_whole_after_an_outage(
     free_endpoint: str,
     topic: topics.Topic,
     kept_s: float,
     away_s: float,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The recorder gets what was sent while there was no router, each once and in order, the last one too."""
     monkeypatch.setattr("services.kit.bus.KEPT_S", kept_s)
     router = Router(free_endpoint)
     sender = Bus("rescuebot", free_endpoint)
@@ -321,10 +309,9 @@ def test_what_is_recorded_survives_an_outage_of_the_router(
         router.close()
 
 
-def test_nothing_is_missing_where_live_samples_come_during_the_replay(
+def test_replay_is_whole_when_live_samples_arrive_meanwhile(
     client: Bus, router_endpoint: str
 ) -> None:
-    """As for a recorder that is started again while the robot drives."""
     before = 100
     after = 150
     late = [Bus("rescuebot", router_endpoint) for _ in range(6)]
@@ -349,7 +336,7 @@ def test_nothing_is_missing_where_live_samples_come_during_the_replay(
             bus.close()
 
 
-def test_whether_anybody_listens_is_known(client: Bus, router_endpoint: str) -> None:
+def test_bus_knows_its_listeners(client: Bus, router_endpoint: str) -> None:
     assert not client.has_listeners(topics.DEPTH)
     one = Bus("rescuebot", router_endpoint)
     all_of_it = Bus("rescuebot", router_endpoint)
@@ -430,8 +417,7 @@ def test_a_host_that_does_not_exist(free_endpoint: str) -> None:
         Bus("rescuebot", address, patience_s=0.1)
 
 
-def test_what_is_kept_is_bounded(client: Bus, other: Bus) -> None:
-    """Of a sender's samples those that it keeps, the newest, and of a sender that has left none."""
+def test_sender_keeps_only_the_newest_samples(client: Bus, other: Bus) -> None:
     kept = topics.COMMANDS["teleop"].kept
     for tick in range(kept + 10):
         client.publish(command(tick))

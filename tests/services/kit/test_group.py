@@ -1,4 +1,4 @@
-"""A service that runs any number of times: whose a robot is, what happens when an instance comes or goes."""
+"""A service with several instances: how robots are assigned when an instance joins or leaves."""
 
 import signal
 import subprocess
@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
-from urllib.error import HTTPError
 from urllib.request import urlopen
 
 import numpy as np
@@ -35,7 +34,7 @@ from tests import corridor
 from tests.places import estimate
 from tests.schemas.messages import EXAMPLES
 from tests.services.chain import image, process, seen, wheels
-from tests.services.waiting import eventually, stalls, status_of
+from tests.services.waiting import eventually, health, stalls, status_of
 
 NAMES = st.from_regex(r"[0-9a-f]{8}", fullmatch=True)
 INSTANCES = st.sets(NAMES, min_size=1, max_size=9)
@@ -44,7 +43,7 @@ PREFIX = "smal/rescuebot/@group/features"
 
 
 @given(INSTANCES, ROBOTS)
-def test_a_robot_has_one_owner_whoever_asks(instances: set[str], robot: str) -> None:
+def test_robot_has_one_owner(instances: set[str], robot: str) -> None:
     assert owner(robot, instances) in instances
     assert owner(robot, sorted(instances)) == owner(robot, sorted(instances, reverse=True))
 
@@ -69,7 +68,7 @@ def test_where_an_instance_leaves_its_robots_alone_move(
         max_size=9,
     )
 )
-def test_robots_are_shared_out_among_those_who_serve_so_many(counts: dict[str, int]) -> None:
+def test_robots_are_shared_among_the_instances_that_serve_them(counts: dict[str, int]) -> None:
     instances = {f"{one}-{many}": many for one, many in counts.items()}
     shares = [share(one, fleet("rescuebot", many), instances) for one, many in instances.items()]
     assert sorted(robot for each in shares for robot in each) == sorted(
@@ -170,7 +169,7 @@ class Robots:
         }
 
     def served_by(self, service: str, many: int) -> dict[str, str]:
-        """Wait until all robots are served, by so many instances."""
+        """Wait until all robots are served by this number of instances."""
 
         def all_served() -> dict[str, str] | None:
             found = self.instances(service)
@@ -235,29 +234,21 @@ def test_no_frame_is_answered_twice_while_instances_come_and_go(
     assert max(robots.answers.values()) == 1
 
 
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return corridor.save_model(tmp_path_factory.mktemp("model") / "mapped.smal")
-
-
 def nothing_seen(tick: int) -> Observation:
-    """Return the observation of a picture that is all grey: it tells nothing of where the robot is."""
+    """Return the observation of a grey picture, which tells nothing about the position."""
     vector = extract(
         np.full((corridor.HEIGHT, corridor.WIDTH, 3), 128, np.uint8), corridor.FEATURES
     )
     return seen(tick).model_copy(update={"features": Float32Array.from_numpy(vector)})
 
 
-@pytest.mark.parametrize("loaded", ["of the settings", "by a call"])
-def test_a_killed_instance_s_robots_go_on_from_what_it_believed(
-    loaded: str, client: Bus, router_endpoint: str, stack: ExitStack, model: Path
+def test_robots_keep_their_belief_when_an_instance_is_killed(
+    client: Bus, router_endpoint: str, stack: ExitStack, model: Path
 ) -> None:
     names = fleet("rescuebot", MANY)
     robots = Robots(client, names, topics.STATE, stack)
     handed = Robots(client, names, topics.SNAPSHOTS["recognition"], stack)
-    flags = (
-        ["--model", str(model)] if loaded == "of the settings" else ["--root", str(model.parent)]
-    )
+    flags = ["--root", str(model.parent)]
     start(stack, "recognition", router_endpoint, MANY, *flags)
     command = [
         sys.executable,
@@ -272,9 +263,8 @@ def test_a_killed_instance_s_robots_go_on_from_what_it_believed(
     first = stack.enter_context(subprocess.Popen(command))
     stack.callback(first.kill)
     served = robots.served_by("recognition", 2)
-    if loaded == "by a call":
-        for bus in robots.buses.values():
-            bus.call("recognition", "load", LoadRequest(model=model.name), LoadReply)
+    for bus in robots.buses.values():
+        bus.call("recognition", "load", LoadRequest(model=model.name), LoadReply)
     robots.insist(wheels(0), seen(0))  # Until each is heard.
     for tick in range(1, 9):
         robots.send(wheels(tick), seen(tick))
@@ -301,7 +291,7 @@ def test_a_killed_instance_s_robots_go_on_from_what_it_believed(
         assert state.tracked_m == pytest.approx(2.2, abs=0.3), name
 
 
-def test_what_an_idle_robot_sent_is_let_go_and_what_it_sends_next_arrives(
+def test_idle_robot_forgets_its_samples(
     client: Bus, router_endpoint: str, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot = client.of_robot("rescuebot")
@@ -345,7 +335,7 @@ def test_a_process_tells_the_health_of_all_its_robots(
     assert metrics.count("\nprocess_cpu_seconds_total ") == 1
 
 
-def test_a_frozen_instance_s_robots_move_and_it_answers_nothing_old_when_it_goes_on(
+def test_frozen_instance_loses_its_robots_and_old_answers(
     client: Bus, router_endpoint: str, stack: ExitStack
 ) -> None:
     robots = Robots(client, fleet("rescuebot", MANY), topics.OBSERVATION, stack)
@@ -375,17 +365,6 @@ def stronger_than(instance: str) -> str:
     """Return the name of an instance that the hashing prefers for the first robot."""
     names = (f"{number:08x}-1" for number in range(1_000_000))
     return next(name for name in names if owner("rescuebot", [name, instance]) == name)
-
-
-def health(address: str) -> str:
-    """Return what a service answers about its health; empty while it does not listen."""
-    try:
-        with urlopen(f"http://{address}/healthz") as answer:
-            return str(answer.read().decode())
-    except HTTPError as error:
-        return str(error.read().decode())
-    except OSError:
-        return ""
 
 
 def test_an_announcement_does_not_take_a_robot(
@@ -463,7 +442,7 @@ def test_a_robot_that_no_instance_serves_is_reported(
 
 
 class FrozenBus(Bus):
-    """A bus whose router answers no question about tokens: the question ends with the bus."""
+    """A bus whose router answers no query for tokens until the bus is closed."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -496,7 +475,7 @@ def test_an_instance_ends_when_its_router_is_frozen(
     assert not thread.is_alive()
 
 
-def test_a_question_about_tokens_has_no_answer_when_the_session_is_closed(
+def test_token_query_is_empty_when_the_session_is_closed(
     router_endpoint: str,
 ) -> None:
     bus = Bus("rescuebot", router_endpoint)

@@ -1,4 +1,4 @@
-"""Health and metrics: what a service tells whoever restarts it, and Prometheus."""
+"""Health and metrics of a service."""
 
 import socket
 import threading
@@ -19,6 +19,7 @@ from services.kit.errors import JobError
 from services.kit.health import MOST_CONNECTIONS, ailment, serve_http
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
+from tests.services.chain import command
 from tests.services.conftest import RunNode
 from tests.services.waiting import eventually, introduce
 
@@ -26,12 +27,6 @@ HEALTHY = Status(
     service="s", state="ready", pid=1, connected=True, uptime_s=9.0, idle_s=0.0, busy_s=0.0, oldest_s=0.0, waiting={},
     received={}, published={}, dropped={}, bad={}, failed=0, detail={},
 )  # fmt: skip
-
-
-def command(tick: int) -> Command:
-    return Command(
-        robot="rescuebot", episode="e", tick=tick, stamp_ns=0, source="teleop", atom="left"
-    )
 
 
 @pytest.mark.parametrize(
@@ -71,7 +66,7 @@ def get(node: Node, path: str) -> tuple[int, str]:
 
 
 def values(text: str) -> Iterator[tuple[tuple[str, str], float]]:
-    """Give every sample of the metrics by its name and its topic, or what else it is about."""
+    """Yield every sample of the metrics by its name and its topic or other label."""
     for family in text_string_to_metric_families(text):
         for sample in family.samples:
             yield (
@@ -123,7 +118,7 @@ def test_a_node_without_its_router_is_not_healthy(free_endpoint: str) -> None:
         router.close()
 
 
-def test_clients_that_say_nothing_take_few_threads_and_are_sent_away(
+def test_silent_http_clients_take_few_threads(
     node: Node, run_node: RunNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("services.kit.health._Handler.timeout", 0.2)

@@ -1,4 +1,4 @@
-"""What a process lets go of is given back to the system."""
+"""Freed memory goes back to the system."""
 
 from typing import Final
 
@@ -14,7 +14,7 @@ def _held() -> int:
     return int(psutil.Process().memory_info().rss)
 
 
-def test_what_is_free_between_what_is_held_is_given_back() -> None:
+def test_freed_memory_is_given_back() -> None:
     blocks = [bytes([1]) * _BLOCK for _ in range(_BLOCKS)]
     pins = blocks[::50]
     before = _held()

@@ -1,9 +1,4 @@
-"""Recognition and policy hold a model: named, replaced only by one that is accepted, never mixed with another.
-
-Their handlers alone, without processes; those are in ``test_chain``. Either scheme's model is held alike; here it is
-mostly the paper's, whose plans and windows are easy to see. ``test_recognition_service`` and ``test_policy_service``
-have the filter's.
-"""
+"""Recognition and policy load models by name, keep the old one when a load is refused, and never mix two."""
 
 import subprocess
 import sys
@@ -50,7 +45,7 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def refused(
     request: pytest.FixtureRequest, tmp_path: Path, other: Path
 ) -> tuple[Path, LoadRequest, str]:
-    """Give a root, a request that must be refused, and what the refusal says."""
+    """Give a root, a request that must be refused, and the reason."""
     name = request.param
     file, asked = {
         "missing": ("none.smal", {"scheme": "paper"}),
@@ -159,8 +154,7 @@ def test_recognition_keeps_its_window_after_a_refused_load(
     assert (answer.status, answer.state) == ("recognized", 2)
 
 
-def test_who_goes_by_a_map_runs_none_of_the_paper(tmp_path: Path) -> None:
-    """It takes no memory, and no time at the start."""
+def test_services_with_a_map_load_nothing_of_the_paper(tmp_path: Path) -> None:
     program = (
         "import sys\n"
         "from pathlib import Path\n"
@@ -194,7 +188,7 @@ def test_states_name_the_model_that_they_are_of(
 @pytest.mark.parametrize(
     "fields", [{"status": "recognized", "state": 2}, {"status": "unknown"}], ids=str
 )
-def test_policy_stops_at_a_state_of_another_model_and_drops_its_plan(
+def test_policy_stops_when_a_state_is_of_another_model(
     policy: PolicyService, fields: dict[str, object], model: Path, other: Path
 ) -> None:
     known = state(0, model, status="recognized", state=2)
@@ -209,7 +203,7 @@ def test_policy_stops_at_a_state_of_another_model_and_drops_its_plan(
     assert policy.detail()["states_of_another_model"] == 3
 
 
-def test_policy_obeys_the_states_of_the_other_model_once_it_has_loaded_it(
+def test_policy_obeys_another_model_once_it_is_loaded(
     policy: PolicyService, model: Path, other: Path
 ) -> None:
     theirs = state(0, other, status="recognized", state=2)

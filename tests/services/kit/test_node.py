@@ -16,50 +16,34 @@ import pytest
 
 from schemas import topics
 from schemas.base import Message
-from schemas.codec import decode, encode, encoding_of
+from schemas.codec import encode, encoding_of
 from schemas.command import Command
-from schemas.motion import Pose
-from schemas.rpc import EndRequest, Nothing, Status
+from schemas.motion import TruePose
+from schemas.rpc import EndRequest, Nothing
 from schemas.topics import Topic
 from services.kit import process as service_process
 from services.kit.bus import Bus, BusError, RpcError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
+from tests.services.chain import command
 from tests.services.conftest import RunNode
-from tests.services.waiting import eventually, introduce, ready, send_as_stranger, status_of
+from tests.services.kit.conftest import status
+from tests.services.waiting import (
+    collected,
+    eventually,
+    introduce,
+    ready,
+    send_as_stranger,
+    status_of,
+)
 
 ROOT = Path(__file__).parents[3]
 TELEOP = topics.COMMANDS["teleop"]
 
 
-def command(tick: int, robot: str = "rescuebot", source: str = "teleop") -> Command:
-    return Command.model_validate(
-        {
-            "robot": robot,
-            "episode": "e",
-            "tick": tick,
-            "stamp_ns": 0,
-            "source": source,
-            "atom": "left",
-        }
-    )
-
-
-def status(client: Bus) -> Status:
-    answer = status_of(client, "sample")
-    assert answer is not None
-    return answer
-
-
 def send_raw(node: Node, topic: Topic, payload: bytes, encoding: str) -> None:
     """Hand over a sample as Zenoh's thread does."""
     node._inbox.put(topic.name, (payload, encoding), len(payload))
-
-
-@pytest.fixture
-def node(settings: ServiceSettings) -> Iterator[Node]:
-    with Node("sample", settings) as node:
-        yield node
 
 
 # -- messages ---------------------------------------------------------------------------------------------------------
@@ -69,14 +53,10 @@ def test_a_message_is_handled_and_its_answers_are_published(
     node: Node, run_node: RunNode, client: Bus
 ) -> None:
     def answer(received: Command) -> Iterator[Message]:
-        yield Pose.after(received, x_m=1.0, y_m=2.0, heading_rad=0.0)
+        yield TruePose.after(received, x_m=1.0, y_m=2.0, heading_rad=0.0)
         yield Command.after(received, source="policy", atom="right")
 
-    poses: list[Pose] = []
-    client.subscribe(
-        topics.POSE,
-        lambda payload, encoding, _transit_s: poses.append(decode(Pose, payload, encoding)),
-    )
+    poses = collected(client, topics.POSE)
     node.subscribe(TELEOP, answer)
     run_node(node)
     introduce(client, "sample", command(3))
@@ -208,16 +188,6 @@ def test_status_is_answered_while_a_handler_is_busy(
 # -- the loop ---------------------------------------------------------------------------------------------------------
 
 
-def test_spin_until_something_holds_or_time_is_over(node: Node) -> None:
-    with node:
-        handled: list[int] = []
-        node.subscribe(TELEOP, lambda received: handled.append(received.tick))
-        assert not node.spin(until=lambda: bool(handled), timeout_s=0.02)
-        send_raw(node, TELEOP, encode(command(4)), encoding_of(Command))
-        assert node.spin(until=lambda: bool(handled), timeout_s=100.0)
-        assert handled == [4]
-
-
 def test_timers_run_and_survive_failures(node: Node) -> None:
     calls: list[float] = []
 
@@ -246,7 +216,7 @@ def test_periods_missed_while_busy_are_not_made_up(node: Node) -> None:
     assert calls[3] - calls[1] >= 0.015, "the five missed calls did not come at once"
 
 
-def test_what_is_asked_for_soon_is_done_once_and_is_no_message(node: Node) -> None:
+def test_soon_runs_once_and_counts_as_no_message(node: Node) -> None:
     done: list[int] = []
     soon = node.soon(lambda: done.append(1))
     other = node.soon(lambda: done.append(2))
@@ -261,7 +231,7 @@ def test_what_is_asked_for_soon_is_done_once_and_is_no_message(node: Node) -> No
     assert node.status().dropped == {}, "nothing is lost where nothing was said"
 
 
-def test_a_node_ends_although_what_works_apart_hangs(
+def test_node_ends_when_its_thread_hangs(
     node: Node, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("services.kit.node._LAST_WORK_S", 0.05)
@@ -282,7 +252,6 @@ def test_a_node_ends_although_what_works_apart_hangs(
 def test_a_signal_just_before_the_loop_waits_ends_it(
     node: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It wakes nobody; idle services hung so, one in twelve that were ended on a busy machine."""
     wait = node._inbox.take
     before = [
         (one, signal.getsignal(one)) for one in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -347,19 +316,6 @@ def test_a_signal_stops_a_process_cleanly(
     assert status_of(client, "sample") is None
 
 
-@pytest.mark.zenoh
-def test_settings_come_from_the_environment_too(router_endpoint: str) -> None:
-    process = start(SMAL_ROUTER=router_endpoint, SMAL_ROBOT="other")
-    assert process.stderr is not None
-    client = Bus("other", router_endpoint)
-    with process:
-        wait_for(process.stderr, "serving")
-        ready(client, "sample")
-        process.terminate()
-        assert process.wait(100.0) == 0
-    client.close()
-
-
 @pytest.mark.parametrize(
     ("flags", "status", "line"),
     [
@@ -379,7 +335,7 @@ def test_bad_settings_are_one_line(flags: tuple[str, ...], status: int, line: st
     assert len(error.strip().splitlines()) == 1
 
 
-def test_read_settings_names_the_unknown_flag(
+def test_unknown_flag_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["sample", "--colour", "red"])
@@ -408,10 +364,9 @@ def test_a_service_that_cannot_start_says_why(
     assert caplog.messages == [str(error)]
 
 
-def test_what_is_handled_at_once_waits_for_nothing_and_is_lost_in_no_queue(
+def test_emergency_stop_is_handled_at_once_when_the_node_is_busy(
     node: Node, run_node: RunNode, client: Bus
 ) -> None:
-    """An emergency stop: behind junk, behind calls, and while the node's own thread is busy."""
     stop = topics.COMMANDS["emergency_stop"]
     stopped = threading.Event()
     busy = threading.Event()

@@ -1,4 +1,4 @@
-"""How the process of a service ends when it cannot go on: soon, with one line, and by itself."""
+"""A service that cannot go on ends soon, with one line, by itself."""
 
 import signal
 import subprocess
@@ -35,7 +35,7 @@ run_node("sample", ServiceSettings, serve)
 
 
 def ended(router: str, does: str) -> tuple[int, list[str]]:
-    """Run a service that does something before it waits for messages; return its status, and what it logged."""
+    """Run a service that executes a statement first; return its status and its log."""
     command = [sys.executable, "-c", _SERVICE.format(does=does), "--router", router]
     done = subprocess.run(
         command, cwd=ROOT, stderr=subprocess.PIPE, text=True, timeout=100.0, check=False
@@ -79,7 +79,6 @@ def test_process_ends_when_a_callback_lacks_memory(
             return process.poll() is not None
 
         eventually(has_ended)
-        assert process.stderr is not None
         lines = process.stderr.read().splitlines()
     assert (process.returncode, len(lines)) == (1, 1), lines
     assert lines[0].endswith(f" sample: {NO_MEMORY}")
@@ -102,7 +101,7 @@ def test_process_is_killed_when_it_cannot_tidy_up(router_endpoint: str) -> None:
     assert (status, lines) == (-signal.SIGALRM, [])
 
 
-def test_process_ends_with_one_line_when_little_memory_is_allowed() -> None:
+def test_process_ends_in_one_line_when_memory_is_scarce() -> None:
     limited = "import resource; resource.setrlimit(resource.RLIMIT_DATA, (90 << 20, 90 << 20)); import services.kit.bus"
     done = subprocess.run(
         [sys.executable, "-c", limited],

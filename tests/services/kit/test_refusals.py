@@ -1,4 +1,4 @@
-"""What a stranger sends is refused before it is copied, counted, and told with its sender; all others go on."""
+"""Forged and oversized messages are refused before they are copied, and counted; others pass."""
 
 import json
 import logging
@@ -18,7 +18,7 @@ from schemas.base import Message
 from schemas.camera import CompressedImage
 from schemas.codec import encode, encoding_of
 from schemas.command import Command
-from schemas.rpc import EndRequest, Failure, Nothing, Status
+from schemas.rpc import EndRequest, Failure, Nothing
 from schemas.state import State
 from schemas.topics import TOPICS, rpc_key
 from services.kit.bus import Bus, RpcError
@@ -27,32 +27,28 @@ from services.kit.settings import ServiceSettings
 from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES
 from services.kit.zenoh_session import MAX_SESSIONS, runtime, zenohd_configuration
 from tests.schemas.messages import EXAMPLES
+from tests.services.chain import command
 from tests.services.conftest import RunNode
-from tests.services.waiting import eventually, introduce, ready, send_as_stranger, status_of
+from tests.services.kit.conftest import status
+from tests.services.waiting import eventually, introduce, ready, send_as_stranger
 
 ROOT = Path(__file__).parents[3]
 TELEOP = topics.COMMANDS["teleop"]
 KEY = TELEOP.key("rescuebot")
-COMMAND = Command(robot="rescuebot", episode="e", tick=1, stamp_ns=0, source="teleop", atom="left")
+COMMAND = command(1)
 ENCODING = encoding_of(Command)
 OTHERS = "tcp/0.0.0.0:7447"  # Where Eclipse's router listens, in its container.
 
 
-def status(client: Bus) -> Status:
-    answer = status_of(client, "sample")
-    assert answer is not None
-    return answer
-
-
 def bad(client: Bus, name: str, count: int) -> None:
-    """Wait until so many were counted, and no message with them."""
+    """Wait until this number of messages was refused on a topic, and none elsewhere."""
     eventually(lambda: status(client).bad.get(name, 0) >= count)
     assert status(client).bad == {name: count}
 
 
 @contextmanager
 def stranger(*endpoints: str, **settings: object) -> Iterator[zenoh.Session]:
-    """Connect as anybody can who has Zenoh; large messages on the link, as ours."""
+    """Connect as any program with Zenoh can."""
     config = zenoh.Config()
     facts = {
         "mode": "client",
@@ -84,15 +80,9 @@ WAYS = pytest.mark.parametrize(
 )
 
 
-@pytest.fixture
-def node(settings: ServiceSettings) -> Iterator[Node]:
-    with Node("sample", settings) as node:
-        yield node
-
-
 @pytest.mark.zenoh
 @WAYS
-def test_what_is_no_such_message_is_refused_and_its_sender_named(
+def test_forged_message_is_refused_and_names_its_sender(
     router_endpoint: str,
     node: Node,
     run_node: RunNode,
@@ -100,7 +90,6 @@ def test_what_is_no_such_message_is_refused_and_its_sender_named(
     subscribe: Callable[[Node, list[Message]], None],
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """A command that is right in itself, sent to everybody; a command's key deleted; another encoding, and too much."""
     handled: list[Message] = []
     subscribe(node, handled)
     run_node(node)
@@ -145,8 +134,7 @@ def test_what_is_no_such_message_is_refused_and_its_sender_named(
 
 
 @pytest.mark.zenoh
-def test_nobody_chooses_how_their_messages_travel(router_endpoint: str) -> None:
-    """Whoever could would make all wait for a slow one, or go before an emergency stop."""
+def test_sender_cannot_choose_priority_or_congestion_control(router_endpoint: str) -> None:
     block = zenoh.CongestionControl.BLOCK
     first = zenoh.Priority.REAL_TIME
     with stranger(router_endpoint) as rude, stranger(router_endpoint) as receiver:
@@ -170,7 +158,6 @@ def test_nobody_chooses_how_their_messages_travel(router_endpoint: str) -> None:
 def test_a_forged_sign_of_life_is_refused(
     router_endpoint: str, node: Node, run_node: RunNode, client: Bus
 ) -> None:
-    """Whoever kept something is asked for it by that name, so it must be one, and no pattern."""
     heard: list[int] = []
     node.subscribe(topics.STATE, lambda state: heard.append(state.tick), replay=True)
     run_node(node)
@@ -202,10 +189,7 @@ def taken_until(send: Callable[[], object], size: int, sizes: SimpleQueue[int]) 
 
 
 @pytest.mark.zenoh
-def test_a_message_larger_than_any_topic_s_reaches_nobody(
-    router_endpoint: str, client: Bus
-) -> None:
-    """The router drops it while it comes in; the largest image passes, and nobody's link is closed."""
+def test_message_is_dropped_when_it_exceeds_every_topic(router_endpoint: str, client: Bus) -> None:
     camera = topics.JPEG.key("rescuebot")
     sizes = SimpleQueue[int]()
     with stranger(router_endpoint) as sender, stranger(router_endpoint) as witness:
@@ -254,8 +238,7 @@ def test_the_other_router_is_told_the_same() -> None:
     assert f"ZENOH_RUNTIME: {runtime(MAX_SESSIONS)!r}" in (ROOT / "docker-compose.yml").read_text()
 
 
-def test_what_waits_in_a_node_is_bounded(settings: ServiceSettings) -> None:
-    """Frames as large as they may be come faster than they are handled; their queue alone would take 14 GB."""
+def test_waiting_messages_of_a_node_are_bounded(settings: ServiceSettings) -> None:
     topic = topics.JPEG
     sender = Bus("rescuebot", settings.router)
     with Node("sample", settings) as node:
@@ -292,7 +275,7 @@ def test_a_reply_that_is_too_large_is_an_error(client: Bus, node: Node, run_node
 
 
 @pytest.mark.zenoh
-def test_a_call_of_everybody_is_nobody_s(
+def test_call_to_a_wildcard_is_refused(
     router_endpoint: str, node: Node, run_node: RunNode, client: Bus
 ) -> None:
     stopped: list[Nothing] = []
@@ -315,7 +298,6 @@ def test_a_call_of_everybody_is_nobody_s(
 
 @pytest.mark.zenoh
 def test_a_flood_of_calls_takes_a_tenth_of_a_processor(router_endpoint: str, client: Bus) -> None:
-    """Of a service whose answers take 5 ms; callers hear at once what is dropped, and who calls later is answered."""
     answered = 0
 
     def answer(_request: bytes, reply: Callable[[EndRequest], None]) -> None:
@@ -347,10 +329,7 @@ def test_a_flood_of_calls_takes_a_tenth_of_a_processor(router_endpoint: str, cli
 
 
 @pytest.mark.zenoh
-def test_a_call_larger_than_any_service_takes_reaches_none(
-    router_endpoint: str, client: Bus
-) -> None:
-    """The router does not pass it on: calls that wait take no memory."""
+def test_call_is_dropped_when_it_is_too_large(router_endpoint: str, client: Bus) -> None:
     asked: list[int] = []
     service = Bus("rescuebot", router_endpoint)
     service.serve(
@@ -374,7 +353,6 @@ def test_a_call_larger_than_any_service_takes_reaches_none(
 @pytest.mark.zenoh
 @pytest.mark.parametrize("way", ["key", "delete", "many"])
 def test_forged_replies(router_endpoint: str, client: Bus, way: str) -> None:
-    """A thousand replies of nearly a megabyte: the first is taken, and a call of somebody else goes on beside it."""
     key = rpc_key("rescuebot", "sim", "end")
     sent = threading.Event()
 
@@ -412,17 +390,16 @@ def test_forged_replies(router_endpoint: str, client: Bus, way: str) -> None:
 
 
 def _called(bus: Bus, service: str) -> str:
-    """Return the answer, or the error; nothing while nobody serves it."""
+    """Return the answer or the error; an empty text while the service is missing."""
     try:
         return bus.call(service, "end", Nothing(), EndRequest, timeout_s=100.0).episode
     except RpcError as error:
         return "" if "is the service running" in str(error) else str(error)
 
 
-def test_whoever_goes_on_and_on_does_not_fill_the_log(
+def test_repeated_failures_do_not_fill_the_log(
     node: Node, run_node: RunNode, client: Bus, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Refused requests, bugs in handlers of requests, of messages, and of what is handled at once."""
 
     def refuse(_: Nothing) -> None:
         raise ServiceError("not now")

@@ -1,4 +1,4 @@
-"""What a sender kept and what it sends come in its order, each once, however they arrive."""
+"""Kept and live samples of a sender arrive in order, each once."""
 
 import random
 import threading
@@ -10,7 +10,7 @@ from services.kit.replay import Budget, Replay
 
 
 class Bench:
-    """A replay, what it passed on, whom it asked, and of whom it held too much."""
+    """A replay, the samples that it passed on, and the senders that it asked or gave up."""
 
     def __init__(self, most_bytes: int = 1000) -> None:
         self.passed: list[tuple[str, int]] = []
@@ -40,7 +40,6 @@ class Bench:
 def test_all_samples_come_in_order_and_once(
     sent: list[int], joined: int, rng: random.Random
 ) -> None:
-    """Of each sender those from `joined` on come live as well, anywhere between and after those it replays."""
     bench = Bench()
     for name, count in zip("abc", sent, strict=False):
         kept = [(bench.replayed, number) for number in range(count)] + [None]
@@ -58,23 +57,7 @@ def test_all_samples_come_in_order_and_once(
     assert bench.asked == list("abc")[: len(sent)]
 
 
-def test_a_sender_is_asked_once_at_the_first_sign_of_it() -> None:
-    bench = Bench()
-    bench.live("a", 5)
-    bench.replay.met("a")
-    assert bench.asked == ["a"]
-    assert bench.passed == [], "what is live waits for what was kept"
-    bench.replayed("a", 3)
-    bench.replayed("a", 4)
-    assert bench.passed == [("a", 3), ("a", 4)]
-    bench.replay.ended("a")
-    assert bench.passed == [("a", 3), ("a", 4), ("a", 5)]
-    bench.live("a", 6)
-    assert bench.passed[-1] == ("a", 6), "and then passes at once"
-    assert bench.asked == ["a"]
-
-
-def test_who_does_not_answer_holds_up_nobody_else() -> None:
+def test_silent_sender_delays_no_other() -> None:
     bench = Bench()
     bench.live("dead", 0)
     bench.live("a", 0)
@@ -84,8 +67,7 @@ def test_who_does_not_answer_holds_up_nobody_else() -> None:
     assert bench.passed[-1] == ("dead", 0)
 
 
-def test_what_waits_is_bounded_over_all_senders_and_nothing_of_it_is_lost() -> None:
-    """Two senders who do not answer: the one for whose sample there is no room waits no longer, and that is told."""
+def test_waiting_samples_are_bounded_and_kept() -> None:
     bench = Bench(most_bytes=10)
     bench.live("a", 5, size=4)
     bench.live("b", 7, size=4)
@@ -101,7 +83,7 @@ def test_what_waits_is_bounded_over_all_senders_and_nothing_of_it_is_lost() -> N
     assert bench.budget.take(10), "all room is given back"
 
 
-def test_a_sender_that_is_forgotten_leaves_nothing_behind() -> None:
+def test_forgotten_sender_frees_its_room() -> None:
     bench = Bench(most_bytes=1000)
     for number in range(200):
         bench.live(f"sender-{number}", 0, size=1)

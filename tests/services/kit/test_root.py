@@ -1,4 +1,4 @@
-"""What others name is a regular file below the root, or one line at once; no name reaches anything else."""
+"""A name in a request is a regular file below the root, or an error of one line."""
 
 import os
 import shutil
@@ -47,7 +47,7 @@ def service(
 
 
 def refusal(call: Callable[[], object]) -> str:
-    """Return the line with which a call is refused, and not that nobody answers."""
+    """Return the line with which a running service refuses a call."""
     with pytest.raises(RpcError) as caught:
         call()
     line = str(caught.value)
@@ -92,7 +92,7 @@ NOTHING = {
 }
 
 
-def test_what_is_no_model_is_as_if_it_were_not_there(service: str, root: Path, client: Bus) -> None:
+def test_file_that_is_no_model_looks_missing(service: str, root: Path, client: Bus) -> None:
     save_model(root / "good.smal")
     load(client, service, "good.smal")
     before = client.call(service, "status", Nothing(), Status).detail
@@ -116,7 +116,7 @@ def test_a_link_of_a_folder_leads_out_no_more_than_one_of_a_file(
     assert load(client, service, "inside/good.smal").stride == LENGTH
 
 
-def test_a_device_is_none(settings: ServiceSettings, run_node: RunNode, client: Bus) -> None:
+def test_device_is_not_a_model(settings: ServiceSettings, run_node: RunNode, client: Bus) -> None:
     node = Node("recognition", settings)
     serve_loads(node, RecognitionService(), Path("/dev"))
     run_node(node)
@@ -125,9 +125,7 @@ def test_a_device_is_none(settings: ServiceSettings, run_node: RunNode, client: 
         assert line == f"model '{device}' not found below the root of this service"
 
 
-def test_names_that_are_none_are_refused_before_anything_is_looked_at(
-    service: str, client: Bus
-) -> None:
+def test_malformed_name_is_refused_before_any_lookup(service: str, client: Bus) -> None:
     lines = {refusal(lambda name=name: load(client, service, name)) for name in MALFORMED}
     assert lines == {
         "model: must be a relative path below the root of the service; no part may begin with a dot",
@@ -174,7 +172,7 @@ def files(folder: Path) -> list[str]:
 
 
 @pytest.mark.usefixtures("recorder")
-def test_the_recorder_writes_nothing_outside_of_its_root(client: Bus, root: Path) -> None:
+def test_recorder_writes_only_below_its_root(client: Bus, root: Path) -> None:
     elsewhere = root.parent / "elsewhere"
     elsewhere.mkdir()
     (root / "out").symlink_to(elsewhere)
@@ -223,9 +221,7 @@ def test_the_recorder_s_root_itself_can_be_named(client: Bus, root: Path) -> Non
 
 
 @pytest.mark.usefixtures("recorder")
-def test_what_lies_in_a_folder_like_a_recording_is_no_way_out_of_it(
-    client: Bus, root: Path
-) -> None:
+def test_planted_files_do_not_lead_the_recorder_out(client: Bus, root: Path) -> None:
     folder = root / "trap"
     folder.mkdir()
     precious = root.parent / "precious.mcap.partial"

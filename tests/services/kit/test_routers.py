@@ -1,4 +1,4 @@
-"""Two routers that are linked: what goes on when one is gone, in processes of their own, open and with certificates."""
+"""Two linked routers, open and with certificates: the bus goes on when one of them is gone."""
 
 import os
 import signal
@@ -31,7 +31,7 @@ def linked(folder: Path, *, secure: bool) -> Stack:
 
 
 class Stream:
-    """Odometry that is sent without end, heard as it comes and by who wants all of it; calls beside it."""
+    """Endless odometry with a live subscriber, a recording subscriber, and calls beside it."""
 
     def __init__(self, stack: Stack, *, apart: bool) -> None:
         own = ",".join(reversed(addresses(stack.plan.endpoint))) if apart else stack.plan.endpoint
@@ -80,7 +80,7 @@ class Stream:
             return False
 
     def goes_on(self) -> None:
-        """Wait until what is sent from now on is heard, recorded and answered."""
+        """Wait until new samples are received and recorded, and a call is answered."""
         sent = self.sent
         eventually(lambda: self.heard[-1] > sent and self.recorded[-1] > sent)
         eventually(self.answered)
@@ -97,7 +97,7 @@ def routers_of(bus: Bus) -> set[str]:
 
 
 def is_heard(settings: ServiceSettings) -> bool:
-    """Whether somebody who comes now hears the stream."""
+    """Whether a new subscriber receives the stream."""
     heard = threading.Event()
     with suppress(BusError), closing(settings.open_bus("console", patience_s=0.0)) as bus:
         bus.subscribe(topics.ODOMETRY, lambda *_sample: heard.set())
@@ -109,12 +109,10 @@ def is_heard(settings: ServiceSettings) -> bool:
     ("secure", "harm", "apart"),
     [
         (False, signal.SIGKILL, False),
-        (False, signal.SIGSTOP, True),
-        (True, signal.SIGKILL, True),
-        (True, signal.SIGSTOP, False),
+        (True, signal.SIGSTOP, True),
     ],
 )
-def test_all_goes_on_when_a_router_is_gone_and_again_when_the_other_is(
+def test_bus_goes_on_when_either_router_is_gone(
     tmp_path: Path, secure: bool, harm: signal.Signals, apart: bool
 ) -> None:
     with linked(tmp_path, secure=secure) as stack, closing(Stream(stack, apart=apart)) as stream:
@@ -137,8 +135,7 @@ def test_all_goes_on_when_a_router_is_gone_and_again_when_the_other_is(
     assert stream.recorded == list(range(stream.recorded[0], stream.recorded[-1] + 1))
 
 
-def test_who_finds_a_router_again_that_was_frozen_comes_under_a_new_name(tmp_path: Path) -> None:
-    """For to the router that they had they might still be who they were, with other numbers for other keys."""
+def test_session_gets_a_new_name_when_its_router_was_frozen(tmp_path: Path) -> None:
     plan = StackPlan(("router",), ROBOT, free_endpoint(), logs=tmp_path / "logs")
     with Stack(plan) as stack, closing(Stream(stack, apart=False)) as stream:
         sessions = [session for bus in stream.buses for session in bus.sessions.values()]

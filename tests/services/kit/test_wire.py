@@ -1,11 +1,11 @@
-"""What is sent beside a message: whether it came as it was sent."""
+"""The checksum beside a message."""
 
 from contextlib import closing
 from queue import SimpleQueue
 
 from schemas import topics
 from schemas.codec import encode
-from schemas.motion import Pose
+from schemas.motion import TruePose
 from services.kit.bus import Bus
 from services.kit.wire import checksum
 from tests.schemas.messages import EXAMPLES
@@ -15,7 +15,7 @@ from tests.services.waiting import eventually
 def test_a_message_that_was_changed_on_its_way_is_refused(
     client: Bus, router_endpoint: str
 ) -> None:
-    pose = EXAMPLES[Pose]
+    pose = EXAMPLES[TruePose]
     heard = SimpleQueue[bytes]()
     refused = SimpleQueue[str]()
     payload = encode(pose)

@@ -1,4 +1,4 @@
-"""An operator begins what another driver drives, also after having taken over from one."""
+"""An operator begins episodes of other drivers, also after a takeover."""
 
 import math
 import threading
@@ -19,7 +19,7 @@ from services.robot.body import Beginning
 from services.robot.gate import OPERATOR_S
 from tests.services.conftest import RunNode
 from tests.services.robot.wheels import Robot, run_robot
-from tests.services.waiting import eventually, status_of
+from tests.services.waiting import collected, eventually, status_of
 
 RUN = ResetRequest(seed=1, purpose="run", driver="policy", mode="realtime")
 DRIVE = RUN.model_copy(update={"purpose": "drive", "driver": "teleop"})
@@ -42,13 +42,13 @@ def misses_nobody(_now_s: float) -> None:
 
 @pytest.fixture
 def said() -> list[str]:
-    """Give what the operator is told."""
+    """Give the messages to the operator."""
     return []
 
 
 @pytest.fixture
 def operator(node: Node, said: list[str]) -> Operator:
-    """Give an operator who has heard of the robot, and of whom it has heard."""
+    """Give an operator that knows the robot."""
     operator = Operator(node, said.append)
     node.every(POLL_S, operator.poll)
     assert node.spin(lambda: operator.commands.to_release is not None, 100.0)
@@ -70,7 +70,7 @@ def asked(
 
 
 @pytest.mark.parametrize("stopped", [False, True], ids=["taken over", "taken over and stopped"])
-def test_a_driver_begins_anew_where_the_person_says_so_who_has_taken_over(
+def test_driver_begins_anew_when_the_operator_takes_over(
     node: Node, robot: Robot, operator: Operator, said: list[str], stopped: bool
 ) -> None:
     begun = asked(
@@ -93,14 +93,8 @@ def test_a_driver_begins_anew_where_the_person_says_so_who_has_taken_over(
     )
 
 
-def test_a_stop_is_repeated_though_nothing_is_heard_of_the_robot(
-    settings: ServiceSettings, client: Bus
-) -> None:
-    """Neither its heartbeat nor an answer comes: a stop that was lost must not wait for either."""
-    stops: list[bytes] = []
-    client.subscribe(
-        COMMANDS["emergency_stop"], lambda payload, _encoding, _transit_s: stops.append(payload)
-    )
+def test_stop_is_repeated_when_the_robot_is_silent(settings: ServiceSettings, client: Bus) -> None:
+    stops = collected(client, COMMANDS["emergency_stop"])
     with Node("teleop", settings) as node:
         operator = Operator(node, lambda _: None)
         operator.stop_for_emergency()
@@ -117,10 +111,9 @@ def there(robot: Robot, node: Node) -> bool:
 
 
 @attended
-def test_a_robot_whose_pictures_take_long_misses_nobody(
+def test_robot_with_slow_pictures_does_not_miss_its_operator(
     node: Node, robot: Robot, operator: Operator, said: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It tells of its episode three times a second; an operator who would answer that would be lost each time."""
     monkeypatch.setattr(robot.wheels, "render", lambda _x: time.sleep(0.3))
     assert node.spin(
         asked(operator, DRIVE, lambda: operator.commands.applied is not None), 100.0
@@ -141,7 +134,7 @@ def test_a_robot_whose_pictures_take_long_misses_nobody(
 
 @attended
 @pytest.mark.parametrize("stays", [True, False])
-def test_a_robot_that_opens_another_world_misses_who_is_gone_when_it_is_open_and_nobody_else(
+def test_robot_that_opens_a_world_misses_only_a_lost_operator(
     node: Node,
     robot: Robot,
     operator: Operator,
@@ -151,7 +144,6 @@ def test_a_robot_that_opens_another_world_misses_who_is_gone_when_it_is_open_and
     monkeypatch: pytest.MonkeyPatch,
     stays: bool,
 ) -> None:
-    """It was armed before, and sets out as soon as it can: with a policy that commands, and nobody who looks on."""
     opening = threading.Event()
     opened = threading.Event()
     begin = robot.wheels.begin

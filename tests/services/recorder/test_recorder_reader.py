@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.base import ATOMS, Message
+from schemas.base import Message
 from schemas.camera import CompressedImage
 from schemas.rpc import Nothing
 from services.kit.node import Node
@@ -20,23 +20,21 @@ from services.recordings.stream import RecordingError
 from services.recordings.writer import EpisodeWriter
 from services.robot.clock import TICK_S
 from tests.services.recordings.recorded_messages import (
-    FINGERPRINT,
     applied,
     command,
     episode,
     event,
-    features,
     frame,
     header,
     image,
-    observation,
     pixels,
+    state,
 )
 from tests.services.recordings.test_recorder_files import leave, read_all, record
 
 
 def read_messages(folder: Path, messages: list[Message]) -> Recording:
-    return read_recording(record(folder, messages), FINGERPRINT)
+    return read_recording(record(folder, messages))
 
 
 def test_read_back_is_what_was_sent(tmp_path: Path) -> None:
@@ -58,36 +56,35 @@ def test_read_back_is_what_was_sent(tmp_path: Path) -> None:
     assert sorted(read.poses) == list(range(5))
     assert read.poses[2].x_m == 3.0
     (piece,) = read.pieces()
-    assert piece.at_goal
-    np.testing.assert_array_equal(piece.ticks, range(5))
-    np.testing.assert_array_equal(piece.features, [features("drive-1", tick) for tick in range(5)])
-    assert [ATOMS[atom] for atom in piece.atoms] == ["forward", "backward", "left", "right", "stop"]
-    assert piece.images is not None
-    for tick, one in enumerate(piece.images):
-        assert np.abs(decode_image(bytes(one)).astype(int) - pixels(tick)).max() <= 4
-    assert piece.odometry is not None
-    np.testing.assert_array_equal(piece.odometry, [(1.5 * tick, 0.1, 0.02) for tick in range(5)])
+    assert piece.tolist() == list(range(5))
+    assert [read.is_goal(tick) for tick in range(5)] == [False] * 4 + [True]
+    atoms = [read.atom(tick) for tick in range(5)]
+    assert atoms == ["forward", "backward", "left", "right", "stop"]
+    for tick in range(5):
+        image = decode_image(bytes(read.images[tick]))
+        assert np.abs(image.astype(int) - pixels(tick)).max() <= 4
+        assert read.wheels(tick) == (1.5 * tick, 0.1, 0.02)
 
 
-@pytest.mark.parametrize("lost", ["camera/jpeg", "odometry"])
-def test_a_lost_image_or_odometry_is_a_gap_unless_all_frames_lack_it(
-    tmp_path: Path, lost: str
+@pytest.mark.parametrize(
+    ("lost", "ticks", "pieces"),
+    [
+        ("camera/jpeg", [2], [[0, 1], [3, 4]]),
+        ("odometry", [2], [[0, 1], [3, 4]]),
+        ("odometry", range(5), [[0, 1, 2, 3, 4]]),
+    ],
+)
+def test_pieces_split_when_a_frame_lacks_image_or_odometry(
+    tmp_path: Path, lost: str, ticks: list[int], pieces: list[list[int]]
 ) -> None:
-    for number, (ticks, pieces) in enumerate(
-        (((2,), [[0, 1], [3, 4]]), (range(5), [[0, 1, 2, 3, 4]]))
-    ):
-        folder = tmp_path / str(number)
-        folder.mkdir()
-        sent = [m for m in episode("e") if m.topic_name != lost or m.tick not in ticks]
-        (read,) = read_messages(folder, sent).episodes
-        assert [piece.ticks.tolist() for piece in read.pieces()] == pieces
-        for piece in read.pieces():
-            had = (piece.images is not None, piece.odometry is not None)
-            assert had == (number == 0 or lost == "odometry", number == 0 or lost == "camera/jpeg")
+    """Odometry that most frames lack splits nothing."""
+    sent = [m for m in episode("e") if m.topic_name != lost or m.tick not in ticks]
+    (read,) = read_messages(tmp_path, sent).episodes
+    assert [piece.tolist() for piece in read.pieces()] == pieces
 
 
 def test_no_piece_spans_a_gap(tmp_path: Path) -> None:
-    lost = {("observation", 3), ("camera/jpeg", 3), ("command/applied", 6)}
+    lost = {("camera/jpeg", 3), ("command/applied", 6)}
     sent = [
         message
         for message in episode("e", frames=9)
@@ -96,9 +93,9 @@ def test_no_piece_spans_a_gap(tmp_path: Path) -> None:
     late = applied("e", 1, sequence=9, atom="right")
     (read,) = read_messages(tmp_path, [*sent, late]).episodes
     pieces = read.pieces()
-    assert ATOMS[pieces[0].atoms[1]] == "right", "the last command of a tick moved the robot"
-    assert [piece.ticks.tolist() for piece in pieces] == [[0, 1, 2], [4, 5], [7, 8]]
-    assert [piece.at_goal for piece in pieces] == [False, False, True]
+    assert read.atom(1) == "right", "the last command of a tick moved the robot"
+    assert [piece.tolist() for piece in pieces] == [[0, 1, 2], [4, 5], [7, 8]]
+    assert [read.is_goal(piece[-1]) for piece in pieces] == [False, False, True]
 
 
 def test_the_goal_is_the_last_frame_of_an_episode_that_ended_found(tmp_path: Path) -> None:
@@ -112,7 +109,7 @@ def test_the_goal_is_the_last_frame_of_an_episode_that_ended_found(tmp_path: Pat
         folder = tmp_path / str(k)
         folder.mkdir()
         (read,) = read_messages(folder, sent).episodes
-        goals.append([(int(piece.ticks[-1]), piece.at_goal) for piece in read.pieces()])
+        goals.append([(int(piece[-1]), read.is_goal(piece[-1])) for piece in read.pieces()])
     assert goals == [[(3, True)], [(3, False)], [(4, True)], [(3, False)], [(2, False)]]
 
 
@@ -131,14 +128,14 @@ def test_a_file_cut_anywhere_is_read_but_for_the_second_that_is_cut(tmp_path: Pa
     ):
         cut.write_bytes(content[:size])
         try:
-            recording = read_recording(cut, FINGERPRINT)
+            recording = read_recording(cut)
         except RecordingError as error:
             complaints.add(str(error))
             continue
         assert (recording.truncated, recording.bad) == (True, 0)
         (only,) = recording.episodes
-        for tick, vector in only.features.items():
-            np.testing.assert_array_equal(vector(), features("e", tick))
+        for tick, payload in only.images.items():
+            assert np.abs(decode_image(bytes(payload)).astype(int) - pixels(tick)).max() <= 4
         read.append(only.frames)
     assert complaints == {
         f"{cut}: {reason}" for reason in ("empty", "not an MCAP file", "holds no episode")
@@ -163,9 +160,9 @@ def test_a_living_recording_is_refused_and_a_dead_one_read(tmp_path: Path) -> No
     with pytest.raises(RecordingError, match="still being recorded"):
         read_recording(tmp_path / "living.mcap.partial")
     writer.seal()
-    recording = read_recording(leave(tmp_path, list(episode("dead"))), FINGERPRINT)
+    recording = read_recording(leave(tmp_path, list(episode("dead"))))
     assert recording.truncated
-    assert len(recording.episodes[0].features) == 5
+    assert len(recording.episodes[0].images) == 5
 
 
 def held_by(*files: str) -> int:
@@ -184,7 +181,7 @@ def test_what_the_recorder_and_its_writer_hold_does_not_grow_with_the_drive(
     told = [
         image("e", 0),
         applied("e", 0, sequence=0),
-        observation("e", 0),
+        state("e", 0),
         command("e", 0, "teleop"),
     ]
     now_s = 0.0

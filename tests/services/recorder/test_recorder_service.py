@@ -23,13 +23,12 @@ from services.recordings.reader import read_recording
 from services.recordings.repair import repair
 from services.recordings.sink import partial_of
 from tests.services.recordings.recorded_messages import (
-    FINGERPRINT,
     applied,
     episode,
     event,
     frame,
     image,
-    observation,
+    state,
 )
 from tests.services.recordings.test_recorder_files import FullDisk, leave, read_all, wanted
 from tests.services.waiting import eventually, introduce, ready, status_of
@@ -117,7 +116,7 @@ def test_what_comes_before_the_beginning_and_after_the_end_is_kept(
 ) -> None:
     start, *most, end = list(episode("drive-1"))
     early = applied("drive-1", 0)
-    late = observation("drive-1", 4)
+    late = state("drive-1", 4)
     send(client, [early, start, *(message for message in most if message not in (early, late))])
     send(client, [end, event("drive-2", 0, "started"), late])
     eventually((tmp_path / "drive-1.mcap").exists)
@@ -142,7 +141,7 @@ def test_nothing_is_recorded_before_start_and_after_stop(
     assert list(reply.files) == ["during.mcap", "cut.mcap"]
     send(client, list(episode("after", frames=1)))
     assert sorted(path.name for path in folder.iterdir()) == ["cut.mcap", "during.mcap"]
-    assert read_recording(folder / "cut.mcap", FINGERPRINT).episodes[0].outcome is None
+    assert read_recording(folder / "cut.mcap").episodes[0].outcome is None
 
 
 def test_a_folder_that_cannot_be_is_refused_in_one_line(
@@ -213,7 +212,7 @@ def test_sigterm_finishes_the_running_recording(
     process.send_signal(signal.SIGTERM)
     assert process.wait(100.0) == 0
     assert "Traceback" not in process.stderr.read()
-    recording = read_recording(tmp_path / "cut.mcap", FINGERPRINT)
+    recording = read_recording(tmp_path / "cut.mcap")
     assert not recording.truncated
     assert len(read_all(tmp_path / "cut.mcap")) == 1 + len(frame("cut", 0))
 
@@ -417,5 +416,5 @@ def test_an_episode_that_never_ends_is_closed_by_the_next(
     send(client, [event("lost", 0, "started"), *frame("lost", 0)])
     publish(client, list(episode("next")))
     eventually(lambda: sealed(client, 2))
-    assert read_recording(tmp_path / "lost.mcap", FINGERPRINT).episodes[0].end_tick is None
+    assert read_recording(tmp_path / "lost.mcap").episodes[0].end_tick is None
     assert len(read_all(tmp_path / "next.mcap")) == len(list(episode("next")))

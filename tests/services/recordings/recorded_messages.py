@@ -11,18 +11,15 @@ from schemas.base import ATOMS, KEYS, SOURCES, Message
 from schemas.camera import CameraInfo, CompressedImage
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode, EventName, Outcome, Purpose
-from schemas.motion import Imu, ImuSample, Odometry, Pose, TrackedPose
-from schemas.observation import Observation
+from schemas.motion import Imu, ImuSample, Odometry, TrackedPose, TruePose
 from schemas.state import State
 from schemas.taught_map import TaughtMap
 from services.kit.jpeg import encode_jpeg
 
-FINGERPRINT = "0123456789ab"
 MODEL = "fedcba9876543210"
 WIDTH = 64
 HEIGHT = 48
 FOCAL_PX = 40.0
-FEATURES = 16
 START_NS = 1_700_000_000_000_000_000
 
 
@@ -78,14 +75,10 @@ def seen(
     ]
 
 
-def features(episode: str, tick: int) -> np.ndarray:
-    seed = sum(episode.encode()) * 1000 + tick
-    return np.random.default_rng(seed).random(FEATURES).astype(np.float32)
-
-
-def observation(episode: str, tick: int, fingerprint: str = FINGERPRINT) -> Observation:
-    vector = Float32Array.from_numpy(features(episode, tick))
-    return Observation.after(header(episode, tick), fingerprint=fingerprint, features=vector)
+def state(episode: str, tick: int) -> State:
+    return State.after(
+        header(episode, tick), status="unknown", model=MODEL, score=0.25, residual=0.75
+    )
 
 
 def imu(episode: str, tick: int) -> Imu:
@@ -124,7 +117,7 @@ def frame(episode: str, tick: int) -> list[Message]:
     """Everything that descends from one camera frame, what the actuator then does excepted."""
     cause = header(episode, tick)
     return [
-        Pose.after(cause, x_m=1.5 * tick, y_m=-2.0, heading_rad=0.5),
+        TruePose.after(cause, x_m=1.5 * tick, y_m=-2.0, heading_rad=0.5),
         TrackedPose.after(
             cause, visible=True, x_m=1.5 * tick, y_m=-2.0, heading_rad=0.5, error_px=0.25
         ),
@@ -141,14 +134,13 @@ def frame(episode: str, tick: int) -> list[Message]:
             centre_y_px=HEIGHT / 2,
         ),
         image(episode, tick),
-        observation(episode, tick),
         TaughtMap.after(
             cause,
             model=MODEL,
             keyframes=Float32Array.from_numpy(np.eye(3, dtype=np.float32)),
             begins=(0, 2),
         ),
-        State.after(cause, status="unknown", model=MODEL, score=0.25, residual=0.75),
+        state(episode, tick),
         Action.after(cause, kind="look_around", state=None, atoms=("forward", "left")),
         *(command(episode, tick, source) for source in SOURCES),
     ]

@@ -18,7 +18,6 @@ from services.recordings.writer import EpisodeWriter
 from tests.services.cli.conftest import Smal
 from tests.services.recordings import driven_corridor
 from tests.services.recordings.recorded_messages import (
-    FINGERPRINT,
     applied,
     episode,
     event,
@@ -84,12 +83,12 @@ def test_what_came_late_is_told_in_its_place(tmp_path: Path) -> None:
         folder.mkdir()
         path = record(folder, [started, *sent, ended])
         (known,) = contents_of(path).episodes
-        (read,) = read_recording(path, FINGERPRINT).episodes
+        (read,) = read_recording(path).episodes
         told.append(
             (
                 known,
                 [
-                    (piece.ticks.tolist(), piece.atoms.tolist(), str(piece.odometry))
+                    [(tick, read.atom(tick), read.wheels(tick)) for tick in piece.tolist()]
                     for piece in read.pieces()
                 ],
             )

@@ -39,7 +39,7 @@ from tests.services.recordings.recorded_messages import (
     frame,
     header,
     image,
-    observation,
+    state,
 )
 
 
@@ -120,22 +120,20 @@ def test_what_is_sent_again_is_written_once_and_what_is_missing_is_named(tmp_pat
         tmp_path,
         [
             *sent,
-            *(observation("e", tick) for tick in range(1, 8)),
+            *(state("e", tick) for tick in range(1, 8)),
             event("e", 7, "ended", "aborted"),
         ],
     )
     assert metadata(path)[GAPS_METADATA] == {
         "duplicates": "0",
         "camera/jpeg": "2-3 5 7",
-        "observation": "0",
+        "state": "0",
     }
 
 
 @given(
     st.lists(
-        st.tuples(
-            st.sampled_from(["pose/truth", "observation", "command/applied"]), st.integers(0, 12)
-        )
+        st.tuples(st.sampled_from(["pose/truth", "state", "command/applied"]), st.integers(0, 12))
     )
 )
 def test_the_ledger_misses_what_never_came_in_whatever_order_the_rest_did(
@@ -146,7 +144,7 @@ def test_the_ledger_misses_what_never_came_in_whatever_order_the_rest_did(
     for topic, tick in sent:
         message = {
             "pose/truth": frame("e", tick)[0],
-            "observation": observation("e", tick),
+            "state": state("e", tick),
             "command/applied": applied("e", tick),
         }[topic]
         assert ledger.admit(message) == ((topic, tick) not in seen)
@@ -155,7 +153,7 @@ def test_the_ledger_misses_what_never_came_in_whatever_order_the_rest_did(
     missing = {}
     for topic in {topic for topic, _ in seen}:
         ticks = {tick for name, tick in seen if name == topic}
-        last = max(ticks) if topic == "command/applied" else 12
+        last = 12 if topic == "pose/truth" else max(ticks)
         missing[topic] = set(range(last + 1)) - ticks
     assert ledger.duplicates == len(sent) - len(seen)
     assert ledger.gap_ticks == sum(map(len, missing.values()))
@@ -229,7 +227,7 @@ def test_a_kill_at_any_moment_loses_nothing_that_was_written(tmp_path: Path) -> 
     sent = [
         message
         for message in episode("e", frames=33)
-        if message.topic_name in ("episode", "observation")
+        if message.topic_name in ("episode", "camera/jpeg")
     ]
     tell = os.write
     killed = True

@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 
 from schemas.array import Float32Array
 from schemas.base import Message
-from schemas.motion import Pose
+from schemas.motion import TruePose
 from schemas.state import State
 from schemas.taught_map import TaughtMap
 from schemas.topics import key_of, topic_of
@@ -44,7 +44,9 @@ def drive() -> list[Message]:
         x_m, y_m, heading_rad = driven_corridor.pose(tick)
         told += driven_corridor.told(tick)
         told.append(
-            Pose.after(here, x_m=5.0 - y_m, y_m=-2.0 + x_m, heading_rad=heading_rad + math.pi / 2)
+            TruePose.after(
+                here, x_m=5.0 - y_m, y_m=-2.0 + x_m, heading_rad=heading_rad + math.pi / 2
+            )
         )
         if tick == 0:
             told.append(

@@ -25,7 +25,7 @@ class SteppedRealTime(RealTime[LineView]):
     """Real time by a test's clock: the loop has no thread, and makes a step when the test says so."""
 
     def begin(self) -> None:
-        self.loop.start = lambda: None  # type: ignore[method-assign]
+        self.loop.start = lambda: None
         super().begin()
 
 
@@ -53,7 +53,7 @@ def runner_of(
         gate,
         "r",
         "s",
-        paces=paces,  # type: ignore[arg-type]
+        paces=paces,
         clocks=Clocks(body.clock, wall_clock_ns),
     )
     return runner
@@ -90,7 +90,6 @@ def command(
 ) -> Command:
     """Return an answer to the last frame, or to another one."""
     run = runner.running
-    assert run is not None
     header = Message(robot="r", episode=run.id, tick=run.tick if tick is None else tick, stamp_ns=0)
     return Command.after(
         header, source=source, session=session, sequence=sequence, atom=atom, speed=speed
@@ -98,7 +97,7 @@ def command(
 
 
 def answer(runner: Runner, atom: Atom = "forward", **how: Any) -> list[Message]:
-    """Answer a frame with a ``command``; return what comes of it at once."""
+    """Answer a frame with a ``command``; return the messages that follow at once."""
     runner.offer(command(runner, atom, **how))
     return list(runner.poll())
 
@@ -114,7 +113,7 @@ def stepping(runner: Runner, clock: Clock, duration_s: float) -> Iterator[Messag
 
 
 def advance(runner: Runner, clock: Clock, duration_s: float) -> list[Message]:
-    """Let real time pass; return what is published meanwhile."""
+    """Let real time pass; return the messages published meanwhile."""
     return list(stepping(runner, clock, duration_s))
 
 

@@ -1,4 +1,4 @@
-"""Commands and signs of life for a gate, right or wrong."""
+"""Commands and heartbeats for a gate, valid or not."""
 
 from schemas.base import KEYS, Atom, Source
 from schemas.command import Command

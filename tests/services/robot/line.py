@@ -1,4 +1,4 @@
-"""A robot on a line without pixels: a goal and a wall somewhere ahead, time as the test has it."""
+"""A robot on a line without pixels: a goal and a wall ahead, and a clock that the test moves."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from schemas.base import STANDING, Atom, Message, Velocity
 from schemas.camera import DepthImage
-from schemas.motion import Pose
+from schemas.motion import TruePose
 from schemas.rpc import ResetRequest
 from schemas.topics import DEPTH, Topic
 from services.kit.jpeg import encode_jpeg
@@ -35,7 +35,7 @@ class Clock:
 
 @dataclass(frozen=True, eq=False)
 class LineView:
-    """What the robot on the line sees: how far along it is."""
+    """The view of the robot on the line: its position."""
 
     body: LineBody
     x: float
@@ -51,8 +51,8 @@ class LineView:
         return encode_jpeg(np.full((24, 32, 3), int(10 * self.x) % 256, dtype=np.uint8))
 
     def more(self, header: Message, made: Collection[str] = ()) -> Iterator[Message]:
-        if Pose.topic not in made:
-            yield Pose.after(header, x_m=self.x, y_m=0.0, heading_rad=0.0)
+        if TruePose.topic not in made:
+            yield TruePose.after(header, x_m=self.x, y_m=0.0, heading_rad=0.0)
         if DEPTH.name not in made and self.body.wanted(DEPTH):
             self.body.made[DEPTH] += 1
             yield DepthImage.after(header, width=1, height=1, data=b"\1\0")

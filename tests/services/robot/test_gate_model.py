@@ -1,4 +1,4 @@
-"""The command gate against a model of it: whatever happens in whatever order, the same moves the robot."""
+"""The command gate against a model of it, for any sequence of events."""
 
 import math
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The guard: whoever drives, a robot stands before what its depth camera shows, and where it shows nothing."""
+"""The guard stops a robot before obstacles and where its depth camera shows nothing."""
 
 import math
 import threading
@@ -32,7 +32,7 @@ def noisy(boxes: list[Box], pose: Pose, rng: np.random.Generator) -> np.ndarray:
 
 @pytest.mark.parametrize("bearing", [0.0, 0.3, -0.5])
 @pytest.mark.parametrize("high", [0.3, 2.0])
-def test_who_drives_at_a_wall_at_full_speed_stands_before_it(bearing: float, high: float) -> None:
+def test_guard_stops_the_robot_before_a_wall(bearing: float, high: float) -> None:
     wall: Box = (*WALL[:4], high)
     rng = np.random.default_rng(0)
     gate = CommandGate(first_stop=1)
@@ -58,14 +58,14 @@ def test_who_drives_at_a_wall_at_full_speed_stands_before_it(bearing: float, hig
 
 
 @pytest.mark.parametrize("shown", [None, np.zeros((60, 80), dtype=np.float32)])
-def test_a_camera_that_is_silent_or_shows_nothing_makes_nothing_free(
+def test_way_is_closed_when_the_depth_camera_shows_nothing(
     shown: np.ndarray | None,
 ) -> None:
     here = (0.0, 0.0, 0.0)
     ways = ("forward", "backward")
     made = guard()
     made.look(shown, here, 0.0)
-    assert [made.share(KEYS[atom], 0.0) for atom in ways] == [0.0, 0.0]  # type: ignore[index]
+    assert [made.share(KEYS[atom], 0.0) for atom in ways] == [0.0, 0.0]
     made.look(depth([], here), here, 1.0)
     assert made.share(KEYS["forward"], 1.0) == 1.0
     made.look(shown, here, 1.2)
@@ -115,15 +115,13 @@ def test_guard_stands_before_a_wall_when_depth_lies(lie: str, since: int) -> Non
 
 
 @pytest.mark.parametrize("height", [0.6, 1.5])
-def test_guard_sees_nothing_when_its_mount_is_at_another_height(height: float) -> None:
-    """Ground that seems higher than it is would be a wall, and ground that seems lower an abyss: neither is free."""
+def test_guard_is_blind_when_its_mount_has_another_height(height: float) -> None:
     made = Guard(MOUNT._replace(height_m=height), Kinematics(SPEED_M_S, math.pi / 4), 0.22)
     made.look(depth([], (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0), 0.0)
     assert made.share(KEYS["forward"], 0.0) == 0.0
 
 
 def test_gate_stops_at_once_while_its_guard_is_busy() -> None:
-    """A stop must not wait for the guard, which may be looking, or computing how far the way is free."""
     gate = CommandGate(first_stop=1)
     busy = threading.Event()
     release = threading.Event()
@@ -154,7 +152,7 @@ def test_gate_stops_at_once_while_its_guard_is_busy() -> None:
     assert found[0].velocity == STANDING
 
 
-def test_what_it_has_gone_since_the_last_look_is_no_longer_free() -> None:
+def test_driven_way_is_no_longer_free() -> None:
     here = (0.0, 0.0, 0.0)
     wall = (1.2, -6.0, 1.6, 6.0, 2.0)
     made = guard()
@@ -164,9 +162,7 @@ def test_what_it_has_gone_since_the_last_look_is_no_longer_free() -> None:
 
 
 @pytest.mark.parametrize(("source", "goes"), [("teleop", INSISTED), ("policy", 0.0)])
-def test_a_person_who_insists_goes_on_slowly_before_something_and_nothing_else_does(
-    source: str, goes: float
-) -> None:
+def test_only_an_insisting_person_goes_on_before_an_obstacle(source: str, goes: float) -> None:
     here = (0.0, 0.0, 0.0)
     wall = (0.55, -6.0, 1.6, 6.0, 2.0)
     gate = CommandGate(first_stop=1)
@@ -185,7 +181,7 @@ def test_a_person_who_insists_goes_on_slowly_before_something_and_nothing_else_d
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("angular", [0.3, 0.6, 1.0])
-def test_who_drives_in_a_bend_stands_before_what_stands_in_it(side: float, angular: float) -> None:
+def test_guard_stops_the_robot_in_a_bend(side: float, angular: float) -> None:
     made = guard()
     pose = (0.0, 0.0, 0.0)
     bend = (

@@ -1,4 +1,4 @@
-"""The robot on the bus: one of an id, and nobody who was there looks as if they were there now."""
+"""The robot on the bus: one robot for each id, operators that are lost, worlds that open."""
 
 import itertools
 import os
@@ -32,10 +32,9 @@ from tests.services.waiting import Lost, eventually, status_of
 
 
 @pytest.mark.zenoh
-def test_an_operator_behind_a_link_that_grows_slow_is_not_taken_for_being_there(
+def test_operator_is_lost_when_the_link_grows_slow(
     settings: ServiceSettings, router_endpoint: str, run_node: RunNode, client: Bus, lost_s: Lost
 ) -> None:
-    """Each sign of life comes ever later; the last ones come when whoever sent them has been dead for long."""
     robot = run_robot(settings, run_node, attended=True)
     policy = Node("policy", settings)
     policy.subscribe(
@@ -112,10 +111,9 @@ def test_of_two_robots_of_one_id_one_stays(
     assert not robots[stays].left
 
 
-def test_two_robots_of_one_id_that_start_in_the_same_instant_are_one(
+def test_one_of_two_simultaneous_robots_is_refused(
     settings: ServiceSettings, monkeypatch: pytest.MonkeyPatch, client: Bus
 ) -> None:
-    """Neither is there yet when the other one asks."""
     asked = threading.Barrier(2)
 
     def check_alone(_: ServiceSettings) -> None:
@@ -168,7 +166,7 @@ class Endless(Wheels):
         raise AssertionError
 
 
-def test_the_opening_of_a_world_is_cancelled_by_who_asked_for_it_or_the_operator_alone(
+def test_only_requester_or_operator_cancels_an_opening_world(
     settings: ServiceSettings, run_node: RunNode, client: Bus
 ) -> None:
     wheels = Endless()

@@ -1,4 +1,4 @@
-"""Episodes of a robot on a line: what moves it, what is told meanwhile in real time, and how one ends."""
+"""Episodes of a robot on a line: motion, messages in real time, and how an episode ends."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from schemas.base import Message
 from schemas.camera import CameraInfo, CompressedImage, DepthImage
 from schemas.command import CommandApplied
 from schemas.episode import Episode
-from schemas.motion import Imu, Odometry, Pose
+from schemas.motion import Imu, Odometry, TruePose
 from schemas.rpc import EndRequest, ResetRequest, ResumeRequest
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.kit.node import ServiceError
@@ -44,12 +44,19 @@ def test_so_many_frames_a_second_whether_commanded_or_not(frames_hz: float, many
     runner = runner_of(LineBody(clock))
     runner.frame_s = 1.0 / frames_hz
     first = reset(runner, mode="realtime")
-    assert [type(m) for m in first] == [Episode, CameraInfo, Odometry, Imu, Pose, CompressedImage]
+    assert [type(m) for m in first] == [
+        Episode,
+        CameraInfo,
+        Odometry,
+        Imu,
+        TruePose,
+        CompressedImage,
+    ]
     images = [m for m in advance(runner, clock, 2.0) if isinstance(m, CompressedImage)]
     assert len(images) in many
 
 
-def test_by_radio_pictures_are_small_and_few_are_under_way_that_nobody_answers() -> None:
+def test_radio_sends_small_pictures_and_few_unanswered() -> None:
     clock = Clock()
     _, whole = begin(LineBody(clock), mode="realtime")
     runner = runner_of(LineBody(clock))
@@ -75,7 +82,7 @@ def test_by_radio_pictures_are_small_and_few_are_under_way_that_nobody_answers()
     assert pictures(2.0) in {19, 20}, "a person who drives answers none"
 
 
-def test_a_depth_image_that_goes_by_radio_sees_what_the_whole_one_does() -> None:
+def test_radio_depth_image_is_a_sample_of_the_whole() -> None:
     whole = np.arange(240 * 320, dtype="<u2").reshape(240, 320)
     depth = DepthImage(**HEADER, width=320, height=240, data=whole.tobytes())
     small = DepthImage.model_validate(dict(coarse(depth)))
@@ -84,12 +91,12 @@ def test_a_depth_image_that_goes_by_radio_sees_what_the_whole_one_does() -> None
     assert coarse(small) == small
 
 
-def test_a_body_without_wheel_or_inertial_sensors_sends_no_readings() -> None:
+def test_body_without_sensors_sends_no_readings() -> None:
     body = LineBody(Clock())
     body.senses = False
     body.camera = None
     _, first = begin(body, mode="realtime")
-    assert [type(m) for m in first] == [Episode, Pose, CompressedImage]
+    assert [type(m) for m in first] == [Episode, TruePose, CompressedImage]
 
 
 class Ahead(LineBody):
@@ -114,7 +121,7 @@ def test_silence_stops_the_robot_within_half_a_second(body_of: type[LineBody]) -
     assert (told[0].reason, told[-1].reason) == ("command", "silence")
 
 
-def test_stamps_are_when_frames_were_captured_whatever_happens_to_the_wall_clock() -> None:
+def test_stamps_are_capture_times_when_the_wall_clock_jumps() -> None:
     clock = Clock()
     wall_ns = iter([7_000_000_000])
     runner = runner_of(LineBody(clock), wall_clock_ns=lambda: next(wall_ns))
@@ -128,7 +135,6 @@ def test_stamps_are_when_frames_were_captured_whatever_happens_to_the_wall_clock
             if isinstance(m, CompressedImage)
         }
     assert len(captured_s) == 3, "one each time, and none is made up for"
-    assert runner.running is not None
     assert isinstance(runner.running.pace, SteppedRealTime)
     assert runner.running.pace.late == 3
     assert all(
@@ -138,7 +144,6 @@ def test_stamps_are_when_frames_were_captured_whatever_happens_to_the_wall_clock
 
 
 def test_latency_belongs_to_the_frame_that_was_answered() -> None:
-    """The heartbeat of a frame goes out before that frame can have been answered; its command moves the robot next."""
     clock = Clock()
     runner, _ = begin(LineBody(clock), mode="realtime")
     told: list[CommandApplied] = []
@@ -161,7 +166,7 @@ class SlowLine(LineBody):
     """A body whose pictures take 0.1 s."""
 
     def render(self, x: float) -> None:
-        self.clock.now_s += 0.1  # type: ignore[attr-defined]
+        self.clock.now_s += 0.1
 
 
 def test_slow_pictures_do_not_prolong_a_command() -> None:
@@ -172,7 +177,6 @@ def test_slow_pictures_do_not_prolong_a_command() -> None:
         while runner.running is not None and runner.running.tick < answered:
             answer(runner)
             advance(runner, clock, PERIOD_S)
-        assert runner.running is not None
         captured_s = runner.running.episode.view.captured_s
         runner.offer(command(runner))
         advance(runner, clock, 2.0)
@@ -228,23 +232,20 @@ def test_the_end_of_an_episode_is_standing_still() -> None:
         (1e9, 3, "found", "false_goal", None),
     ],
 )
-def test_what_the_robot_says_ends_its_run_and_is_judged(
+def test_report_of_the_robot_ends_its_run_and_is_judged(
     goal: float, frames: int, said: str, outcome: str, right: bool | None
 ) -> None:
     runner, _ = begin(LineBody(Clock(), goal=goal), until_said=True)
     for _ in range(frames):
         assert ("ended", "found") not in events(answer(runner)), "it has said nothing yet"
     run = runner.running
-    assert run is not None
     (ended,) = runner.end_by(EndRequest.model_validate({"episode": run.id, "said": said}))
     assert isinstance(ended, Episode)
     assert (ended.outcome, ended.right) == (outcome, right)
 
 
 @pytest.mark.parametrize(("goal", "outcome"), [(0.3, "missed"), (1e9, "timeout")])
-def test_a_robot_that_passes_its_goal_without_a_word_has_missed_it(
-    goal: float, outcome: str
-) -> None:
+def test_run_is_missed_when_the_robot_passes_the_goal_silently(goal: float, outcome: str) -> None:
     runner, _ = begin(LineBody(Clock(), goal=goal, sight=0.2), until_said=True, max_ticks=8)
     assert [e for _ in range(8) for e in events(answer(runner))][-2:] == [
         ("timed_out", None),
@@ -253,22 +254,19 @@ def test_a_robot_that_passes_its_goal_without_a_word_has_missed_it(
 
 
 def test_where_a_person_says_that_the_goal_is_it_is() -> None:
-    """In runs after that too, wherever the task had it."""
     runner, _ = begin(LineBody(Clock(), goal=1e9), purpose="drive", driver="teleop")
     for _ in range(3):
         answer(runner, source="teleop")
     drive = runner.running
-    assert drive is not None
     runner.end_by(EndRequest(episode=drive.id, found=True))
     reset(runner, until_said=True)
     for _ in range(3):
         answer(runner)
     run = runner.running
-    assert run is not None
     assert events(runner.end_by(EndRequest(episode=run.id, said="found"))) == [("ended", "found")]
 
 
-def test_nobody_judges_what_a_robot_says_that_has_no_task() -> None:
+def test_report_is_not_judged_when_there_is_no_task() -> None:
     body = LineBody(Clock())
     gate = armed()
     runner: Runner = EpisodeRunner(
@@ -276,7 +274,6 @@ def test_nobody_judges_what_a_robot_says_that_has_no_task() -> None:
     )
     reset(runner, until_said=True)
     run = runner.running
-    assert run is not None
     assert events(runner.end_by(EndRequest(episode=run.id, said="found"))) == [("ended", "aborted")]
 
 
@@ -294,30 +291,26 @@ def test_a_robot_without_a_task_goes_on_past_every_goal() -> None:
 
 
 def test_a_drive_of_a_person_has_no_time_limit() -> None:
-    """The default ended it after five minutes, as a drive that teaches nothing."""
     runner = runner_of(LineBody(Clock(), goal=1e9))
     reset(runner, max_ticks=None)
     for _ in range(3100):
         assert not events(answer(runner))
-    assert runner.running is not None
     assert runner.running.tick == 3100
 
 
-def test_a_run_that_a_person_corrects_does_not_time_out_in_their_hands() -> None:
-    """It would end as one that found nothing, which teaches nothing."""
+def test_corrected_run_does_not_time_out() -> None:
     clock = Clock()
     runner, _ = begin(LineBody(clock, goal=1e9), mode="realtime", max_ticks=5)
     advance(runner, clock, 0.2)
     answer(runner, "left", source="teleop")
     assert not events(advance(runner, clock, 3.0))
     run = runner.running
-    assert run is not None
     runner.resume(ResumeRequest(episode=run.id, tick=run.tick))
     assert not events(advance(runner, clock, 0.2))
     assert events(advance(runner, clock, 0.2)) == [("timed_out", None), ("ended", "timeout")]
 
 
-def test_a_mode_that_the_robot_does_not_know_is_refused_in_one_line() -> None:
+def test_unknown_mode_is_refused_in_one_line() -> None:
     runner: EpisodeRunner[LineView] = EpisodeRunner(
         LineBody(Clock()), OperatorsTask(), armed(), "r", "s"
     )

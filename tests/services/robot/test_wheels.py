@@ -1,4 +1,4 @@
-"""The odometry must follow what the base carries out."""
+"""Odometry is compared with the executed commands."""
 
 import math
 
@@ -95,7 +95,7 @@ def test_wheels_agree_when_a_base_slips_in_bends(seed: int) -> None:
         min_size=1, max_size=12,
     )
 )  # fmt: skip
-def test_wheels_agree_whatever_is_asked(asked: list[tuple[float, float, int]]) -> None:
+def test_wheels_agree_when_commands_are_arbitrary(asked: list[tuple[float, float, int]]) -> None:
     orders = [Velocity(linear, angular) for linear, angular, ticks in asked for _ in range(ticks)]
     assert compare(orders, 1.0) is None
 
@@ -128,8 +128,7 @@ def test_wheels_agree_when_a_base_rolls_on_after_its_order() -> None:
     assert compare(pulses, 1.0, delay_s=0.4) is None
 
 
-def test_loop_compares_what_the_body_carries_out_when_it_refuses() -> None:
-    """A base that stands, because an input is silent, is not expected to move."""
+def test_loop_compares_the_executed_command_when_it_is_refused() -> None:
 
     class Refusing(LineBody):
         def drive(self, velocity: Velocity) -> Velocity:

@@ -1,4 +1,4 @@
-"""Whose a robot's episode is: who may begin one, end it, and let the robot go on after a stop or a takeover."""
+"""Ownership of an episode: beginning and ending it, resuming after a stop or a takeover."""
 
 from typing import get_args
 
@@ -33,9 +33,7 @@ def beat(
 
 @pytest.mark.parametrize("cause", get_args(StopCause))
 @pytest.mark.parametrize("driver", ["policy", "expert", "teleop"])
-def test_a_robot_that_is_stopped_begins_nothing_until_it_is_armed(
-    cause: StopCause, driver: str
-) -> None:
+def test_stopped_robot_begins_no_episode_until_it_is_armed(cause: StopCause, driver: str) -> None:
     runner, _ = begin(LineBody(Clock()))
     runner.gate.stop(cause)
     episode = runner.running
@@ -75,8 +73,7 @@ def test_after_a_stop_the_driver_goes_on_when_it_is_told_to() -> None:
     assert body.orders[-1][0] == "forward"
 
 
-def test_a_stop_between_two_episodes_is_undone_by_a_person_who_knew_of_neither() -> None:
-    """Theirs is a teleop that was just started: it has heard of no frame."""
+def test_stop_between_episodes_is_released_by_any_person() -> None:
     runner, _ = begin(LineBody(Clock()), mode="realtime")
     runner.end()
     runner.gate.stop()
@@ -89,7 +86,7 @@ def test_a_stop_between_two_episodes_is_undone_by_a_person_who_knew_of_neither()
         runner.resume(ResumeRequest(episode="none", tick=0))
 
 
-def test_the_episode_of_a_client_who_is_there_is_nobody_elses() -> None:
+def test_episode_of_a_present_client_is_protected() -> None:
     clock = Clock()
     runner, _ = begin(LineBody(clock), session="a", mode="realtime")
     run = runner.running
@@ -113,13 +110,12 @@ def test_the_episode_of_a_client_who_is_there_is_nobody_elses() -> None:
     reset(runner, session="c")
 
 
-def test_a_person_who_has_taken_over_begins_an_episode_whosever_runs() -> None:
+def test_person_after_a_takeover_begins_an_episode() -> None:
     runner, _ = begin(LineBody(Clock()), session="a", mode="realtime")
     with pytest.raises(ServiceError, match="belongs to another client"):
         reset(runner, session="o", driver="teleop")
     answer(runner, "stop", source="teleop")
     reset(runner, session="o", driver="teleop")
-    assert runner.running is not None
     assert runner.running.request.session == "o"
 
 
@@ -135,8 +131,7 @@ def taken_over() -> Runner:
     return runner
 
 
-def test_nobody_else_begins_an_episode_while_the_operator_is_there_who_has_taken_over() -> None:
-    """An episode that a person drives would make their takeover forgotten, and the next one could be the policy's."""
+def test_only_the_operator_begins_an_episode_after_a_takeover() -> None:
     runner = taken_over()
     run = runner.running
     for session in ("a", "b", ""):
@@ -161,7 +156,7 @@ def test_the_end_of_its_episode_does_not_undo_a_takeover() -> None:
 
 
 @pytest.mark.parametrize("how", ["leaves", "is lost"])
-def test_who_has_taken_over_and_is_gone_holds_the_robot_no_longer(how: str) -> None:
+def test_takeover_ends_when_its_operator_is_gone(how: str) -> None:
     runner = taken_over()
     if how == "leaves":
         beat(runner, "o", 1, operator=True, present=False)
@@ -173,7 +168,7 @@ def test_who_has_taken_over_and_is_gone_holds_the_robot_no_longer(how: str) -> N
     reset(runner, session="b", driver="teleop")
 
 
-def test_nobody_ends_what_an_operator_drives_to_begin_something_else() -> None:
+def test_episode_that_an_operator_drives_is_protected() -> None:
     runner, _ = begin(LineBody(Clock()), session="o", driver="teleop", mode="realtime")
     beat(runner, "o", operator=True)
     run = runner.running
@@ -190,7 +185,7 @@ def test_nobody_ends_what_an_operator_drives_to_begin_something_else() -> None:
     assert runner.running.request.session == "b"
 
 
-def test_an_operator_who_is_lost_stops_the_robot_in_every_mode() -> None:
+def test_lost_operator_stops_the_robot_in_every_mode() -> None:
     for mode in ("lockstep", "realtime"):
         clock = Clock()
         runner, _ = begin(LineBody(clock), mode=mode)
@@ -200,7 +195,7 @@ def test_an_operator_who_is_lost_stops_the_robot_in_every_mode() -> None:
         assert runner.gate.stop_cause == "operator_lost"
 
 
-def test_what_the_operator_says_was_found_was_found() -> None:
+def test_goal_is_found_when_the_operator_reports_it() -> None:
     body = LineBody(Clock())
     gate = CommandGate(first_stop=1)
     runner: Runner = EpisodeRunner(

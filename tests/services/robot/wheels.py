@@ -1,4 +1,4 @@
-"""A real actuator whose body is a point on a line, and notes what it is told."""
+"""A real actuator whose body is a point on a line, and records its orders."""
 
 import time
 from dataclasses import dataclass

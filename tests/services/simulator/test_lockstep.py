@@ -6,7 +6,7 @@ from schemas.base import Message
 from schemas.camera import CameraInfo, CompressedImage, DepthImage
 from schemas.command import CommandApplied
 from schemas.episode import Episode
-from schemas.motion import Imu, Odometry, Pose
+from schemas.motion import Imu, Odometry, TruePose
 from schemas.rpc import ArmRequest
 from schemas.topics import DEPTH, Topic
 from services.kit.cameras import camera_of
@@ -27,7 +27,7 @@ def test_it_waits_for_each_answer_and_moves_exactly_one_tick() -> None:
         CameraInfo,
         Odometry,
         Imu,
-        Pose,
+        TruePose,
         CompressedImage,
     ]
     (info,) = (m for m in messages if isinstance(m, CameraInfo))
@@ -36,7 +36,7 @@ def test_it_waits_for_each_answer_and_moves_exactly_one_tick() -> None:
     clock.now_s += RESEND_S / 2
     assert not list(runner.poll())
     messages = answer(runner)
-    assert [type(m) for m in messages] == [CommandApplied, Odometry, Imu, Pose, CompressedImage]
+    assert [type(m) for m in messages] == [CommandApplied, Odometry, Imu, TruePose, CompressedImage]
     assert body.moves == [("forward", 1.0, TICK_S)]
     assert isinstance(messages[0], CommandApplied)
     assert messages[0].latency_ns == pytest.approx(1e9 * RESEND_S / 2)
@@ -55,8 +55,7 @@ def test_it_sends_a_lost_frame_again_and_then_gives_up() -> None:
     assert events(list(runner.poll())) == [("ended", "aborted")]
 
 
-def test_who_comes_after_the_frame_was_made_gets_its_picture_when_it_is_sent_again() -> None:
-    """Otherwise a features service that needs depth could never answer the first frame, and lockstep would stand."""
+def test_late_listener_gets_its_picture_when_a_frame_is_resent() -> None:
     clock = Clock()
     wanted = set[Topic]()
     runner, sent = begin(LineBody(clock, wanted=wanted.__contains__))
@@ -99,13 +98,13 @@ def test_how_an_episode_ends(
     said: list[Event] = []
     for atom in ["forward"] * 3 + ["backward"] if atoms < 0 else ["forward"] * atoms:
         assert runner.running is not None
-        said += events(answer(runner, atom))  # type: ignore[arg-type]
+        said += events(answer(runner, atom))
     if runner.running is not None:
         said += events(runner.end())
     assert said == told
 
 
-def test_a_latched_robot_stands_and_renders_nothing_for_those_who_go_on_commanding() -> None:
+def test_stopped_robot_stands_and_renders_nothing() -> None:
     body = LineBody(Clock())
     runner, _ = begin(body)
     runner.gate.stop()
@@ -130,7 +129,7 @@ def test_a_latched_robot_stands_and_renders_nothing_for_those_who_go_on_commandi
     } == {"stop"}, "released is not told to go on"
 
 
-def test_a_stop_that_comes_while_a_step_is_told_of_ends_that_step() -> None:
+def test_stop_during_a_step_ends_that_step() -> None:
     body = LineBody(Clock())
     runner, _ = begin(body)
     runner.offer(command(runner))
@@ -152,7 +151,7 @@ class Broken(LineBody):
             raise RuntimeError("no picture")
 
 
-def test_an_episode_whose_next_frame_cannot_be_made_ends() -> None:
+def test_episode_ends_when_its_next_frame_fails() -> None:
     body = Broken(Clock())
     runner, _ = begin(body)
     answer(runner)

@@ -1,4 +1,4 @@
-"""What stands in the way after teaching: on it, with room to pass beside it; or it closes the way."""
+"""Obstacles after teaching: beside the way, or across it."""
 
 import math
 
@@ -23,7 +23,7 @@ WORLDS = {name: load_world(name) for name in ("campus", "indoor")}
 
 
 class Shown(StubCamera):
-    """Remembers what it was told to show."""
+    """A camera that remembers the obstacles to show."""
 
     def obstruct(self, things: tuple[object, ...]) -> None:
         self.things = things
@@ -31,11 +31,11 @@ class Shown(StubCamera):
 
 def simulated(world: str) -> Simulation:
     there = WORLDS[world]
-    return Simulation(there, Shown(), KinematicBase(there.place))  # type: ignore[arg-type]
+    return Simulation(there, Shown(), KinematicBase(there.place))
 
 
 def passes(simulation: Simulation, room: float) -> bool:
-    """Tell whether a disc of so many radii of the robot gets from the first to the last part of the way beside it."""
+    """Whether a disc of this many robot radii passes along the way."""
     radius_m = simulation.world.robot.radius_m
     way = shapely.LineString(simulation.route())
     corridor = way.buffer(5 * radius_m)
@@ -57,11 +57,11 @@ def passes(simulation: Simulation, room: float) -> bool:
 
 
 @pytest.mark.parametrize("world", WORLDS)
-def test_three_things_stand_in_the_way_and_who_follows_it_blindly_runs_into_one(world: str) -> None:
+def test_obstacles_stand_in_the_way_and_leave_room(world: str) -> None:
     simulation = simulated(world)
     for seed in (1, 2):
         simulation.reset(seed, "run", obstacles=3)
-        assert simulation._seen[1].things == simulation.obstacles  # type: ignore[attr-defined]
+        assert simulation._seen[1].things == simulation.obstacles
         assert len(simulation.obstacles) == 3
         assert passes(
             simulation, 1.8 if world == "campus" else 1.3
@@ -81,7 +81,7 @@ def test_three_things_stand_in_the_way_and_who_follows_it_blindly_runs_into_one(
 
 
 @pytest.mark.parametrize("world", WORLDS)
-def test_nobody_passes_where_the_way_is_closed(world: str) -> None:
+def test_blocked_way_has_no_passage(world: str) -> None:
     simulation = simulated(world)
     simulation.reset(1, "run")
     assert passes(simulation, 1.0)
@@ -90,7 +90,7 @@ def test_nobody_passes_where_the_way_is_closed(world: str) -> None:
 
 
 @pytest.mark.parametrize("world", WORLDS)
-def test_people_walk_about_and_wait_for_a_robot_in_their_way_but_who_drives_into_them_collides(
+def test_people_walk_wait_and_are_hit_by_blind_robots(
     world: str,
 ) -> None:
     simulation = simulated(world)
@@ -126,7 +126,7 @@ def test_a_way_too_short_for_so_many_says_so() -> None:
         body.begin(ResetRequest(seed=1, obstacles=50))
 
 
-def test_clearance_is_of_the_robots_side_from_walls_things_and_people() -> None:
+def test_clearance_counts_walls_obstacles_and_people() -> None:
     simulation = simulated("campus")
     simulation.reset(1, "run")
     radius_m = simulation.world.robot.radius_m

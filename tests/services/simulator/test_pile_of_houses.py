@@ -54,7 +54,7 @@ def test_query_finds_few_houses_when_all_lie_on_each_other(pile: Obstacles) -> N
     assert CountingTree.found < 600 * 100  # In each of 600 queries all 5,000 houses were found.
 
 
-def test_query_finds_what_is_near_when_houses_overlap(pile: Obstacles) -> None:
+def test_query_finds_the_nearest_house_when_houses_overlap(pile: Obstacles) -> None:
     # The largest house reaches from 52 to 28 m west of the middle.
     assert pile.is_free(-27.0, -40.0, 0.9)
     assert not pile.is_free(-27.0, -40.0, 1.1)

@@ -1,4 +1,4 @@
-"""The simulated robot as a body: its world goes on by the clock, and it tells of what only a simulator sees."""
+"""The simulated robot as a body: its world follows the clock."""
 
 import math
 
@@ -55,7 +55,7 @@ def test_it_goes_on_by_the_clock_until_it_is_told_otherwise() -> None:
 
 
 @pytest.mark.parametrize("frozen_s", [0.1, 0.5, 14.0, 1e9])
-def test_a_frozen_process_finds_the_robot_where_its_watchdog_stopped_it(frozen_s: float) -> None:
+def test_frozen_process_finds_the_robot_stopped_by_its_watchdog(frozen_s: float) -> None:
     clock = Clock()
     body = body_of(clock)
     start = start_of(body)
@@ -78,7 +78,7 @@ def test_in_lockstep_no_clock_moves_it() -> None:
     assert way_m(body, start) == pytest.approx(0.1 * PERFECT.speed_m_s)
 
 
-def test_it_begins_anywhere_and_is_carried_away_where_that_is_asked_for() -> None:
+def test_body_starts_anywhere_and_is_kidnapped_on_request() -> None:
     plain, anywhere, carried = (
         body_of(Clock(), "lockstep", **request)
         for request in ({}, {"start": "anywhere"}, {"kidnap_tick": 2})
@@ -95,11 +95,10 @@ def test_depth_is_told_in_millimetres_with_how_its_camera_sits() -> None:
     mount = Mount(0.65, 1.0, 0.35, 0.4, 1.0)
     told = depth_message(HEADER, np.array([[0.0, 65.0, 1.2345]], dtype=np.float32), mount)
     assert told.to_numpy().tolist() == [[0, 65000, 1234]]
-    assert told.mounting is not None
     assert Mount(**told.mounting.model_dump()) == mount
 
 
-def test_a_depth_camera_errs_more_far_away_and_has_holes_beside_what_is_near() -> None:
+def test_depth_errs_more_far_away_and_has_holes_at_edges() -> None:
     wall = np.full((768, 1024), 4.0, dtype=np.float32)
     wall[:, :200] = np.inf
     wall[200:500, 500:600] = 0.5

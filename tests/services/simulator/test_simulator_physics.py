@@ -77,13 +77,8 @@ def test_at_speed_it_moves_as_the_kinematic_base_does(
 
 @robots
 @pytest.mark.parametrize("atom", ["forward", "left"])
-def test_silence_means_that_the_robot_stands_within_half_a_second(
-    robot: RobotModel, atom: Atom
-) -> None:
-    """The gate obeys a command for so long from its frame on, and none comes sooner than a cycle after its frame.
-
-    A robot stands that moves by less than 5 % of what it usually does in a tick.
-    """
+def test_robot_stands_within_half_a_second_of_silence(robot: RobotModel, atom: Atom) -> None:
+    """The gate obeys a command for `MAX_AGE_S`. Standing means less than 5 % of the usual motion a tick."""
     base = standing(PhysicalBase(Hall(model=robot), perfect(robot)))
     drive(base, atom, 2.0)
     before = drive(base, "stop", 0.5 - MAX_AGE_S + STEP_S)[-1].pose
@@ -124,7 +119,7 @@ def trace(base: PhysicalBase, seed: int, atoms: list[Atom]) -> list[Motion]:
     second=st.lists(st.sampled_from([*ATOMS, "forward"]), min_size=6, max_size=12),
 )
 @settings(max_examples=5)
-def test_an_episode_repeats_exactly_whatever_was_before(
+def test_episode_repeats_exactly(
     first: list[Atom], seeds: tuple[int, int], second: list[Atom]
 ) -> None:
     corner = Solid(

@@ -4,13 +4,11 @@ import pytest
 
 from schemas import topics
 from schemas.base import Message
-from schemas.camera import CompressedImage
-from schemas.codec import decode
 from schemas.command import Command
 from schemas.rpc import ArmRequest, EndRequest, Nothing, ResetReply, ResetRequest, ResumeRequest
 from services.kit.bus import Bus, RpcError
 from tests.services.chain import process
-from tests.services.waiting import eventually, malformed, ready, status_of
+from tests.services.waiting import collected, eventually, malformed, ready, status_of
 
 pytestmark = [pytest.mark.rendering, pytest.mark.zenoh]
 
@@ -20,17 +18,14 @@ def command(episode: str, tick: int) -> Command:
     return Command.after(header, source="policy", atom="forward")
 
 
-def test_lockstep_episode_waits_for_commands_and_survives_malformed_ones_on_every_topic(
+def test_lockstep_episode_waits_and_survives_malformed_commands(
     client: Bus, router_endpoint: str
 ) -> None:
-    images: list[CompressedImage] = []
-    client.subscribe(
-        topics.JPEG, lambda payload, form, _: images.append(decode(CompressedImage, payload, form))
-    )
+    images = collected(client, topics.JPEG)
     reset = ResetRequest(seed=1)
 
     def told(what: str) -> object:
-        return eventually(lambda: status_of(client, "robot")).detail[what]  # type: ignore[union-attr]
+        return eventually(lambda: status_of(client, "robot")).detail[what]
 
     def arm() -> None:
         client.call("robot", "arm", ArmRequest(stop=int(str(told("emergency_stop") or 0))), Nothing)
@@ -58,7 +53,7 @@ def test_lockstep_episode_waits_for_commands_and_survives_malformed_ones_on_ever
         assert [image.tick for image in images] in ([0], [0, 0])
         for tick in range(3):
             client.publish(command(reply.episode, tick))
-            eventually(lambda tick=tick: images[-1].tick == tick + 1)  # type: ignore[misc]
+            eventually(lambda tick=tick: images[-1].tick == tick + 1)
         assert images[0].data != images[-1].data
         client.call("robot", "end", EndRequest(episode=reply.episode), Nothing)
         with pytest.raises(RpcError, match="not running"):

@@ -44,7 +44,6 @@ def facing_the_victim(name: str, away_m: float) -> Pose:
 
 
 def test_an_image_has_something_in_it_and_repeats_to_the_bit() -> None:
-    """In another order as well, so that nothing is left over from the frame before; nothing is black."""
     camera = camera_in("indoor")
     other = SceneCamera(INDOOR, CameraSettings(160, 120))
     start = INDOOR.start

@@ -1,4 +1,4 @@
-"""Odometry, inertial unit and shake: true where nothing is wrong with them, and as wrong as they say elsewhere."""
+"""Odometry, inertial unit and shake: exact without errors, and as wrong as their model otherwise."""
 
 import math
 from collections.abc import Iterator
@@ -106,7 +106,6 @@ def test_the_integrals_are_the_true_heading_and_velocity(wheels: Wheels) -> None
 
 
 def test_a_shaking_camera_shakes_the_unit() -> None:
-    """Its gyroscope feels the tilt's rates, and gravity leans the other way than the unit does."""
     made = sensors(shake=1.0)
     for _ in range(50):
         go(made, [(0.4, 0.4)])

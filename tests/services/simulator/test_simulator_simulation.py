@@ -1,4 +1,4 @@
-"""Without pixels: where the robot may go, ways to the victim, variations; episodes repeat, walls stop the robot."""
+"""Without pixels: free places, routes, variations; episodes repeat, walls stop the robot."""
 
 import math
 from dataclasses import replace
@@ -34,11 +34,9 @@ PERFECT = DriveTrain(tick_sigma=0.0, radius_sigma=0.0)
     atoms=st.lists(st.sampled_from(ATOMS), max_size=30),
 )
 @settings(max_examples=20)
-def test_the_same_seed_gives_the_same_episode_however_it_is_stepped(
-    seed: int, purpose: str, atoms: list[Atom]
-) -> None:
+def test_same_seed_gives_the_same_episode(seed: int, purpose: str, atoms: list[Atom]) -> None:
     whole, sliced = (Simulation(YARD, StubCamera()) for _ in range(2))
-    assert whole.reset(seed, purpose) == sliced.reset(seed, purpose)  # type: ignore[arg-type]
+    assert whole.reset(seed, purpose) == sliced.reset(seed, purpose)
     for atom in atoms:
         whole.advance(KEYS[atom], 0.1)
         for _ in range(5):
@@ -50,7 +48,7 @@ def test_the_same_seed_gives_the_same_episode_however_it_is_stepped(
 
 
 @pytest.mark.parametrize("physical", [False, True])
-def test_a_robot_that_is_carried_away_does_not_know_it_by_its_wheels(physical: bool) -> None:
+def test_kidnapped_robot_keeps_its_odometry(physical: bool) -> None:
     simulation, again = (
         Simulation(YARD, StubCamera(), None if physical else KinematicBase(YARD.place, PERFECT))
         for _ in range(2)
@@ -158,9 +156,7 @@ def solid(world: World) -> shapely.Geometry:
 
 @given(name=st.sampled_from(sorted(WORLDS)), seed=st.integers(0, 2**32 - 1), recovery=st.booleans())
 @settings(max_examples=50)
-def test_a_route_touches_nothing_and_ends_at_the_victim(
-    name: str, seed: int, recovery: bool
-) -> None:
+def test_route_is_free_and_ends_at_the_victim(name: str, seed: int, recovery: bool) -> None:
     world = WORLDS[name]
     start = sample_start(world, np.random.default_rng(seed), "recovery" if recovery else "run")
     route = plan_route(world, (start.x, start.y))
@@ -181,15 +177,15 @@ def test_moved_things_leave_the_way_free(name: str, seed: int) -> None:
         world.start,
         world.victim,
         world.place.roads,
-    )  # type: ignore[attr-defined]
-    pairs = zip(world.place.trees, moved.place.trees, strict=True)  # type: ignore[attr-defined]
+    )
+    pairs = zip(world.place.trees, moved.place.trees, strict=True)
     assert any(one != other for one, other in pairs)
 
 
 SOLID = {name: solid(world) for name, world in WORLDS.items()}
 
 
-def test_a_car_turns_by_no_less_than_it_can_and_never_on_the_spot() -> None:
+def test_car_keeps_its_radius() -> None:
     simulation = Simulation(replace(YARD, drive=PERFECT.car), StubCamera())
     episode = LockstepEpisode(simulation, ResetRequest(seed=1))
     start = simulation.pose

@@ -58,7 +58,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
 
 
 def begin(body: SimulatedBody, **wishes: str) -> None:
-    body.begin(ResetRequest(seed=1, mode="realtime", **wishes))  # type: ignore[arg-type]
+    body.begin(ResetRequest(seed=1, mode="realtime", **wishes))
 
 
 def test_the_worlds_are_ours_the_user_s_and_the_first_one(made: Path) -> None:
@@ -91,12 +91,15 @@ def test_an_episode_begins_in_the_world_that_is_asked_for(
 @pytest.mark.parametrize(
     ("make", "why"),
     [
-        (lambda _: None, "no world 'bad'; known are campus, indoor, my town, terrace, yard"),
+        (
+            lambda _: None,
+            "world 'bad' not found; choose from campus, indoor, my town, terrace, yard",
+        ),
         (lambda path: path.symlink_to(WORLDS_FOLDER / "indoor.json"), "world 'bad': leads out of"),
-        (os.mkfifo, "no world 'bad'"),
+        (os.mkfifo, "world 'bad' not found"),
     ],
 )
-def test_a_world_that_cannot_be_used_leaves_the_robot_where_it_is(
+def test_robot_stays_when_another_world_is_unusable(
     made: Path, opened: list[tuple[str, str]], make: Callable[[Path], object], why: str
 ) -> None:
     make(made / "worlds" / "bad.json")
@@ -105,17 +108,17 @@ def test_a_world_that_cannot_be_used_leaves_the_robot_where_it_is(
     with pytest.raises(ServiceError, match=why):
         begin(body, world="bad")
     assert opened == []
-    with pytest.raises(ServiceError, match="no variation 'bad'; known are day, morning"):
+    with pytest.raises(ServiceError, match="variation 'bad' not found; choose from day, morning"):
         begin(body, variation="bad")
     begin(body)
     assert body.name == "yard"
 
 
 class EnoughError(Exception):
-    """What ends the opening of a world."""
+    """The end of opening a world."""
 
 
-def test_the_robot_stays_where_it_is_when_the_opening_of_another_world_is_ended(
+def test_robot_stays_when_opening_a_world_is_cancelled(
     made: Path, opened: list[tuple[str, str]]
 ) -> None:
     def enough() -> None:

@@ -142,7 +142,6 @@ def test_hold_to_drive_release_to_stop(console: Console, robot: Robot) -> None:
 
 
 def test_letting_go_stops_at_once(told: Console, robot: Robot) -> None:
-    """Not by its time having run out; again where this machine is so busy that this took as long."""
     begin(told, robot)
 
     def stops_at_once() -> bool:
@@ -157,9 +156,7 @@ def test_letting_go_stops_at_once(told: Console, robot: Robot) -> None:
     eventually(stops_at_once)
 
 
-def test_two_keys_together_drive_a_bend_where_the_terminal_tells_what_is_let_go(
-    told: Console, robot: Robot
-) -> None:
+def test_two_keys_drive_a_bend_when_releases_are_reported(told: Console, robot: Robot) -> None:
     begin(told, robot)
     for typed, velocity in (
         (W_PRESSED + A_PRESSED, (1.0, 1.0)),
@@ -202,7 +199,7 @@ def test_emergency_stop_holds_until_a_new_episode_is_asked_for(
 
 
 @pytest.mark.parametrize("key", [b"n", b"r"])
-def test_a_stop_from_elsewhere_that_comes_after_the_key_is_not_released(
+def test_later_stop_is_not_released_by_an_earlier_key(
     console: Console, robot: Robot, key: bytes
 ) -> None:
     begin(console, robot)
@@ -218,7 +215,7 @@ def test_a_stop_from_elsewhere_that_comes_after_the_key_is_not_released(
 
 
 @pytest.mark.parametrize("when", ["before_arm", "before_reset"])
-def test_an_emergency_stop_that_is_pressed_while_the_robot_is_armed_survives(
+def test_emergency_stop_survives_when_pressed_during_arming(
     console: Console, robot: Robot, when: str
 ) -> None:
     console.wait_for("robot: not armed")
@@ -246,7 +243,6 @@ def test_an_emergency_stop_that_is_pressed_while_the_robot_is_armed_survives(
 
 
 def test_heartbeats_go_on_while_an_episode_begins(console: Console, robot: Robot) -> None:
-    """A simulator's first picture takes a minute; leaving meanwhile ends what was begun, and says good-bye last."""
 
     def slow() -> None:
         hear(robot, beats=20)
@@ -277,7 +273,7 @@ def test_an_emergency_stop_is_heard_while_leaving(console: Console, robot: Robot
     assert robot.atoms() == [], "but no other key"
 
 
-def test_a_screen_that_stands_still_holds_up_nothing(console: Console, robot: Robot) -> None:
+def test_frozen_screen_delays_nothing(console: Console, robot: Robot) -> None:
     begin(console, robot)
     console.draws.clear()
     for _ in range(20):
@@ -293,7 +289,7 @@ def test_a_screen_that_stands_still_holds_up_nothing(console: Console, robot: Ro
 
 
 @pytest.mark.parametrize("leave", [b"q", b"\x03", signal.SIGTERM])
-def test_every_exit_stops_the_robot_ends_the_episode_says_good_bye_and_restores_the_terminal(
+def test_every_exit_stops_the_robot_and_restores_the_terminal(
     console: Console, robot: Robot, leave: bytes | signal.Signals
 ) -> None:
     """By q, Ctrl-C or a signal."""

@@ -1,4 +1,4 @@
-"""Images of a tagged robot from above, by a projection of their own: what tracking is checked against."""
+"""Images of a tagged robot from above, by a projection of their own."""
 
 import math
 from dataclasses import dataclass

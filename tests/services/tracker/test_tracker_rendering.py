@@ -42,7 +42,7 @@ def drive(world: World) -> Iterator[Pose]:
 
 
 @pytest.mark.rendering
-def test_every_pose_of_a_drive_is_within_three_centimetres_and_two_degrees() -> None:
+def test_tracked_drive_is_within_3_cm_and_2_degrees() -> None:
     world = load_world("indoor")
     assert world.place.overhead is not None
     assert TURTLEBOT.tag is not None

@@ -1,4 +1,4 @@
-"""Answers held against a truth: which are right, precision and recall by hand, and how probable scores are."""
+"""Answers against a truth: precision and recall by hand, and calibration of scores."""
 
 import math
 
@@ -19,7 +19,6 @@ from smal.place_recognition import Matches
 def test_poses_are_near_and_look_the_same_way(
     seed: int, distance_m: float, angle_deg: float
 ) -> None:
-    """Against the angle between the two directions as vectors; headings come with any number of turns."""
     rng = np.random.default_rng(seed)
     references, queries = (
         np.column_stack([rng.uniform(0, 4, (n, 2)), rng.uniform(-20, 20, n)]) for n in (30, 300)
@@ -47,7 +46,7 @@ def test_poses_are_near_and_look_the_same_way(
             )
 
 
-def test_judging_takes_what_is_right_and_nothing_else() -> None:
+def test_truth_judges_answers() -> None:
     """Right; wrong; not judged; nothing to find; no answer; right at the second of two intervals."""
     intervals = np.array([[0, 2, 4], [1, 2, 4], [4, 0, 9], [5, 1, 2], [5, 7, 8]]).T
     truth = IntervalTruth(*intervals, np.array([1, 1, 0, 1, 1, 1], bool))
@@ -72,11 +71,6 @@ def judgements(draw: st.DrawFn) -> Judgement:
     right = answered & findable & (rng.random(count) < draw(st.sampled_from([0.2, 0.8, 1.0])))
     score = rng.integers(-5, draw(st.sampled_from([-4, 0, 1000])), count) / 7.0
     return Judgement(score, answered, right, judged, findable)
-
-
-def all_answered(score: NDArray[np.float64], right: NDArray[np.bool_]) -> Judgement:
-    yes = np.ones(score.shape, dtype=np.bool_)
-    return Judgement(score, yes, right, yes, yes)
 
 
 def by_hand(judgement: Judgement) -> list[tuple[float, float, float]]:
@@ -119,23 +113,6 @@ def test_equals_counting_by_hand(judgement: Judgement) -> None:
     assert curve.recall_at_100_precision == max((r for r, p, _ in points if p == 1.0), default=0.0)
 
 
-def test_perfect_useless_and_silent_methods() -> None:
-    rng = np.random.default_rng(0)
-    right = rng.random(20000) < 0.3
-    perfect = PrecisionRecall.of(all_answered(rng.random(50), np.ones(50, dtype=np.bool_)))
-    assert (perfect.auc, perfect.recall_at_100_precision) == (1.0, 1.0)
-    # Scores that say nothing: precision is 0.3 at every recall up to 0.3.
-    assert PrecisionRecall.of(all_answered(rng.random(20000), right)).auc == pytest.approx(
-        0.09, abs=0.005
-    )
-    assert PrecisionRecall.of(all_answered(right.astype(float), right)).auc == pytest.approx(
-        right.mean()
-    )
-    no = np.zeros(3, dtype=np.bool_)
-    silent = PrecisionRecall.of(Judgement(np.zeros(3), no, no, ~no, ~no))
-    assert (silent.auc, silent.recall_at_100_precision, silent.recall.size) == (0.0, 0.0, 0)
-
-
 @given(judgements(), st.integers(0, 1000))
 @settings(max_examples=50, deadline=None)
 def test_a_query_counts_as_often_as_it_is_drawn(judgement: Judgement, seed: int) -> None:
@@ -162,7 +139,7 @@ def judgement_of(
     return Judgement(score, score > 0.0, right, every, every if findable is None else findable)
 
 
-def test_scores_that_are_what_they_say_have_no_calibration_error() -> None:
+def test_calibrated_scores_have_no_calibration_error() -> None:
     rng = np.random.default_rng(0)
     score = rng.random(100_000)
     right = rng.random(score.size) < score

@@ -1,4 +1,4 @@
-"""Teach and repeat comes back to the taught way, tells headings from shifts, stops at the end, names what is wrong."""
+"""Teach and repeat returns to the taught way, tells headings from shifts, and stops at the end."""
 
 import math
 from dataclasses import replace
@@ -104,7 +104,7 @@ def test_it_comes_back_to_the_taught_way_and_stops_at_its_end(
     assert aside[-20:].max() < max(0.5 * aside[0], 0.2)
 
 
-def test_it_begins_anywhere_and_looks_round_first_where_it_sees_the_wrong_way() -> None:
+def test_repeat_starts_anywhere_and_looks_round_when_reversed() -> None:
     wood = Wood(1)
     robot = TeachAndRepeat([wood.drive()], FIELD_RAD)
     assert aside_of(wood.way, wood.repeat(robot, tuple(wood.way[45]), 300)).max() < 0.3
@@ -114,7 +114,7 @@ def test_it_begins_anywhere_and_looks_round_first_where_it_sees_the_wrong_way() 
     assert math.dist(poses[-1, :2], wood.way[-1, :2]) < 2.0
 
 
-def test_what_does_not_fit_is_named_in_one_line() -> None:
+def test_unusable_demonstration_is_refused_in_one_line() -> None:
     drive = Wood(1).drive()
     with pytest.raises(
         ValueError, match="demonstration d: teach and repeat needs images and odometry"

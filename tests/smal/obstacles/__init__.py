@@ -1,1 +1,1 @@
-"""Tests: the robot goes round what stands in its way."""
+"""Tests of obstacles."""

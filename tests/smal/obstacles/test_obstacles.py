@@ -1,4 +1,4 @@
-"""What a depth camera says of the ground about the robot, and the way round what stands there."""
+"""Free ground from a depth camera, and ways round obstacles."""
 
 import math
 import tracemalloc
@@ -26,17 +26,16 @@ def around(*boxes: Box) -> Surroundings:
 
 
 @pytest.mark.parametrize("pitch_deg", [-2.0, 0.0, 2.0])
-def test_ground_is_free_and_a_wall_is_where_it_is_however_the_camera_nods(pitch_deg: float) -> None:
+def test_ground_is_free_and_wall_is_placed_when_the_camera_nods(pitch_deg: float) -> None:
     seen = scan(depth([WALL], HERE, math.radians(pitch_deg)), MOUNT)
-    assert seen is not None
     middle = np.abs(seen.across) < 0.4
     np.testing.assert_allclose(seen.hit_m[middle], 4.0 - MOUNT.ahead_m, atol=0.15)
     np.testing.assert_allclose(seen.free_m[middle], 4.0 - MOUNT.ahead_m, atol=0.35)
-    assert scan(depth([], HERE, math.radians(pitch_deg)), MOUNT).hit_m.min() == math.inf  # type: ignore[union-attr]
+    assert scan(depth([], HERE, math.radians(pitch_deg)), MOUNT).hit_m.min() == math.inf
 
 
 @pytest.mark.parametrize("high", [0.2, 0.5, 2.0])
-def test_the_way_is_free_up_to_what_stands_in_it(high: float) -> None:
+def test_way_is_free_up_to_an_obstacle(high: float) -> None:
     assert around((3.0, -0.2, 3.5, 0.2, high)).free_m(ahead=True) == pytest.approx(
         3.0 - OFF_M, abs=0.15
     )
@@ -50,7 +49,7 @@ def test_the_way_is_free_up_to_what_stands_in_it(high: float) -> None:
     assert made.free_m(ahead=True) > 3.5
 
 
-def test_nothing_is_free_that_was_not_seen() -> None:
+def test_unseen_ground_is_not_free() -> None:
     made = Surroundings(MOUNT.radius_m)
     assert not made.look(HERE, np.zeros((60, 80), dtype=np.float32), MOUNT)
     assert not made.look(HERE, None, MOUNT)
@@ -63,7 +62,7 @@ def test_nothing_is_free_that_was_not_seen() -> None:
     assert made.free_m(ahead=False) == 0.0  # nobody has looked behind
 
 
-def test_what_has_left_the_view_is_still_known_and_what_has_walked_away_is_forgotten() -> None:
+def test_obstacle_out_of_view_is_kept_until_it_is_seen_gone() -> None:
     box: Box = (1.7, -0.2, 2.1, 0.2, 0.3)
     made = around(box)
     for k in range(1, 8):  # so near that the camera sees over it
@@ -77,7 +76,7 @@ def test_what_has_left_the_view_is_still_known_and_what_has_walked_away_is_forgo
     assert made.free_m(ahead=True) > 3.5
 
 
-def test_out_of_view_what_has_come_is_soon_forgotten_and_what_stands_there_is_not() -> None:
+def test_moving_obstacle_out_of_view_is_forgotten() -> None:
     box = (2.5, -0.2, 2.9, 0.2, 1.7)
     aside = (0.0, 0.0, math.radians(80.0))
     for before, known in ([], False), ([box], True):
@@ -89,7 +88,7 @@ def test_out_of_view_what_has_come_is_soon_forgotten_and_what_stands_there_is_no
         assert bool(made.occupied[made.cells(np.array([0.4, -2.5]))]) == known
 
 
-def test_from_what_walks_it_keeps_off_and_what_stands_beside_the_way_it_passes() -> None:
+def test_robot_keeps_off_walkers_and_passes_standing_things() -> None:
     def aside_at(y_m: float) -> Box:
         return 2.6, y_m, 3.0, y_m + 0.4, 1.7
 
@@ -107,8 +106,7 @@ def test_from_what_walks_it_keeps_off_and_what_stands_beside_the_way_it_passes()
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_nothing_that_stands_moves_because_the_robot_does(seed: int) -> None:
-    """Distances err by a hundredth, as those of a depth camera; what seems to come does so far off, and is let pass."""
+def test_standing_things_do_not_move_when_the_robot_does(seed: int) -> None:
     rng = np.random.default_rng(seed)
     made = Surroundings(MOUNT.radius_m)
     pose = (0.0, 0.0, 0.3)
@@ -126,7 +124,7 @@ def test_nothing_that_stands_moves_because_the_robot_does(seed: int) -> None:
 
 
 @given(st.floats(0.0, 10.0), st.floats(0.2, 3.0), st.floats(0.0, 0.5), st.floats(0.05, 0.3))
-def test_a_robot_stands_before_what_it_comes_to(
+def test_robot_stands_before_an_obstacle(
     free_m: float, speed_m_s: float, braking_s: float, wait_s: float
 ) -> None:
     share = most_speed(free_m, speed_m_s, braking_s, wait_s)
@@ -193,8 +191,7 @@ def test_it_goes_round_and_comes_back(boxes: list[Box]) -> None:
 
 
 @pytest.mark.parametrize("heading", [2.0, -2.6])
-def test_who_faces_away_from_what_it_goes_round_turns_back_at_once(heading: float) -> None:
-    """It went on straight away, and meant to turn back later."""
+def test_robot_turns_back_when_it_faces_away_from_an_obstacle(heading: float) -> None:
     box: Box = (2.2, -0.3, 2.8, 0.5, 1.0)
     made = around(box)
     pose = (0.0, 0.0, heading)
@@ -207,7 +204,7 @@ def test_who_faces_away_from_what_it_goes_round_turns_back_at_once(heading: floa
     assert abs(heading + turn) < 0.8
 
 
-def test_it_waits_where_nothing_leads_round() -> None:
+def test_robot_waits_when_no_way_leads_round() -> None:
     poses, blocked = drive([(6.0, -8.0, 6.3, 8.0, 1.0)], ticks=200)
     assert blocked > 100
     assert poses[-1, 0] < 6.0
@@ -215,7 +212,6 @@ def test_it_waits_where_nothing_leads_round() -> None:
 
 @pytest.mark.parametrize("far_m", [1e4, 1e6])
 def test_a_way_costs_no_memory_when_it_lies_far_away(far_m: float) -> None:
-    """A belief may lie that far off: of a wrong state, or when the odometry has jumped."""
     way = np.stack([far_m + np.arange(0.0, 7.0, 0.35), np.full(20, -far_m)], axis=1)
     tracemalloc.start()
     assert hit_m(around(), way) == math.inf
@@ -225,5 +221,5 @@ def test_a_way_costs_no_memory_when_it_lies_far_away(far_m: float) -> None:
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 80), (2, 80), (60, 1)])
-def test_a_look_shows_nothing_when_it_has_few_pixels(shape: tuple[int, int]) -> None:
+def test_image_of_few_pixels_shows_nothing(shape: tuple[int, int]) -> None:
     assert not Surroundings(MOUNT.radius_m).look(HERE, np.ones(shape, dtype=np.float32), MOUNT)

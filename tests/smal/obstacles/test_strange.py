@@ -1,4 +1,4 @@
-"""Without depth: what lies on the taught way and was not there slows a robot, then stops it; the way does not."""
+"""Without depth: unexpected ground on the taught way slows a robot, then stops it."""
 
 import math
 from dataclasses import replace
@@ -64,7 +64,7 @@ def driven(watches: bool, box_m: float | None) -> tuple[Robot, list[tuple[str, f
     return robot, did, here[0]
 
 
-def test_a_box_on_the_way_slows_a_robot_that_watches_and_then_stops_it() -> None:
+def test_watching_robot_slows_and_stops_before_a_box() -> None:
     robot, did, came_m = driven(True, 3.0)
     kinds, speeds = zip(*did, strict=True)
     stopped = kinds.index("blocked")
@@ -82,7 +82,7 @@ def test_the_taught_way_is_not_strange() -> None:
     assert "blocked" not in dict(did)
 
 
-def test_the_threshold_is_what_hardly_any_view_exceeds() -> None:
+def test_threshold_is_rarely_exceeded() -> None:
     rng = np.random.default_rng(2)
     threshold = extreme(rng.exponential(0.01, 200).tolist())
     assert 0.01 * math.log(1e3) < threshold < 0.01 * math.log(1e6)

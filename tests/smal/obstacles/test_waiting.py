@@ -1,4 +1,4 @@
-"""What the planner does before what nothing leads round, and with whoever walks up to it."""
+"""The planner before obstacles without a way round, and with people."""
 
 import math
 from dataclasses import replace
@@ -46,7 +46,7 @@ def waits(planner: Planner, ticks: int) -> list[Decision]:
     return decisions
 
 
-def test_who_waits_in_vain_looks_around_once_and_waits_on() -> None:
+def test_waiting_robot_looks_around_once() -> None:
     decisions = waits(Planner(map_of(16.0)), ticks=400)
     assert len(decisions) == 400
     kinds = [(kind, len(list(same))) for kind, same in groupby(one.kind for one in decisions)]
@@ -59,7 +59,7 @@ def test_who_waits_in_vain_looks_around_once_and_waits_on() -> None:
     assert kinds[1][1] == pytest.approx(2.0 * PLANNER_CONFIG.waits_s / 0.1, abs=1)
 
 
-def test_who_waits_in_vain_takes_another_taught_way_and_later_the_first_again() -> None:
+def test_waiting_robot_takes_another_way_and_later_the_first() -> None:
     """The second drive leads away to the left where the robot stands, and takes longer."""
     other = 161
     planner = Planner(map_of(16.0, 17.0, stitches=(((HERE, other), (0.0, 0.0, -math.pi / 2.0)),)))
@@ -74,7 +74,7 @@ def test_who_waits_in_vain_takes_another_taught_way_and_later_the_first_again() 
 
 
 @pytest.mark.parametrize(("side", "atom"), [(1.0, Atom.LEFT), (-1.0, Atom.RIGHT)])
-def test_it_keeps_its_eyes_on_whom_it_waits_for(side: float, atom: Atom) -> None:
+def test_waiting_robot_turns_to_a_walker(side: float, atom: Atom) -> None:
     walks = [sorted((side * y_m, side * (y_m + 0.4))) for y_m in np.arange(1.3, 0.45, -0.1)]
     walker: list[list[Box]] = [[WALL, (1.2, low, 1.5, high, 1.7)] for low, high in walks]
     decision = Planner(map_of(16.0)).decide(
@@ -84,8 +84,7 @@ def test_it_keeps_its_eyes_on_whom_it_waits_for(side: float, atom: Atom) -> None
     assert decision.motion[1] == (1.0 if atom is Atom.LEFT else -1.0)
 
 
-def test_it_makes_room_for_who_stands_before_it_but_not_for_things() -> None:
-    """They wait for each other; it backs off to where people feel free to go, as long as it knows that it can."""
+def test_robot_makes_room_for_people_only() -> None:
     x = 0.0
     somebody: Box = (0.7, -0.3, 1.0, 0.3, 1.7)
     planner = Planner(map_of(16.0))
@@ -106,7 +105,7 @@ def test_it_makes_room_for_who_stands_before_it_but_not_for_things() -> None:
 
 
 @pytest.mark.parametrize("robot", ["turns on the spot", "car"])
-def test_what_has_just_come_is_not_what_it_was_sent_to_find(robot: str) -> None:
+def test_new_obstacle_is_not_the_target(robot: str) -> None:
     thing: list[Box] = [(2.0, -0.3, 2.4, 0.3, 1.7)]
     end = belief((160, 0.0, 0.0, 0.0))
     taught = map_of(16.0)

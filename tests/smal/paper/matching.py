@@ -1,4 +1,4 @@
-"""Problems that are hard for state matching, all ways to solve them, and what any answer has to satisfy."""
+"""Hard problems of state matching, all ways to solve them, and the properties of any solution."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -131,7 +131,7 @@ def answers(problem: Problem, tolerance: float) -> Iterator[tuple[str, Solution]
 
 
 def check(solution: Solution, problem: Problem, tolerance: float, what: str = "") -> None:
-    """Check everything that a solution says about itself."""
+    """Check all properties of a solution."""
     lengths = np.linalg.norm(problem.Y.astype(np.float64), axis=0)
     assert solution.converged, (what, solution.duality_gap)
     assert -1e-7 <= solution.duality_gap <= tolerance, what
@@ -151,7 +151,7 @@ def check(solution: Solution, problem: Problem, tolerance: float, what: str = ""
 
 
 def check_bounds(solutions: dict[str, Solution], best: float) -> None:
-    """No lower bound is above what any method reached."""
+    """Check that no lower bound exceeds the best objective."""
     for name, solution in solutions.items():
         bound = solution.objective * (1.0 - solution.duality_gap)
         assert bound <= best * (1 + 1e-9), (name, bound, best)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from smal import Solution, solve
-from tests.benchmarks.recognition.algorithm2 import algorithm2
 from tests.smal.paper.matching import Problem, check, check_bounds
 from tests.smal.worlds import matching_problem, unit
 
@@ -23,17 +22,6 @@ def screened(problem: Problem, tolerance: float) -> dict[str, Solution]:
             problem.X.astype(np.float64), problem.Y, *problem.parameters, tolerance=tolerance
         ),
     }
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_sequences_of_algorithm_2_are_not_ruled_out(seed: int) -> None:
-    """Algorithm 2 rules nothing out."""
-    X, Y = matching_problem(seed, blocks=12, length=5, size=100, mixed=3)
-    problem = Problem(X, Y, 5, 0.2, 0.2)
-    used = np.flatnonzero(shares(algorithm2(X, Y, 5, 0.2, 0.2, tolerance=1e-9).weights, 5) > 1e-2)
-    assert used.size >= 2
-    for name, solution in screened(problem, 1e-6).items():
-        assert set(used) <= set(solution.active_blocks.tolist()), name
 
 
 @pytest.mark.parametrize("seed", [0, 3])

@@ -1,4 +1,4 @@
-"""What every method answers, `smal.match`, and the pieces: centring, the nearest sequence, the chain."""
+"""`smal.match`, and its parts: centring, the nearest sequence, the chain."""
 
 import cv2
 import numpy as np
@@ -69,15 +69,6 @@ RNG = np.random.default_rng(0)
 REFERENCES = RNG.normal(size=(40, SETTINGS.size)).astype(np.float32)
 
 
-def test_many_queries_are_centred_by_their_own_mean() -> None:
-    light = RNG.normal(size=SETTINGS.size)
-    queries = (RNG.normal(size=(400, SETTINGS.size)) + light).astype(np.float32)
-    references, seen = centre_traverses(REFERENCES, queries, SETTINGS)
-    np.testing.assert_array_equal(references, Centering.fit(REFERENCES, SETTINGS).apply(REFERENCES))
-    own = Centering.fit(queries, SETTINGS).apply(queries)
-    assert np.einsum("qm,qm->q", seen, own).min() > 0.999
-
-
 @pytest.mark.parametrize("count", [1, PRIOR_FRAMES, 3 * PRIOR_FRAMES])
 def test_the_prior_counts_as_some_frames(count: int) -> None:
     queries = RNG.normal(size=(count, SETTINGS.size)).astype(np.float32)
@@ -123,13 +114,6 @@ def test_equals_a_search_by_hand(seed: int, n: int, q: int, length: int) -> None
     assert (np.abs(matches.score) <= 1 + 1e-6).all()
 
 
-def test_a_copy_is_found_exactly() -> None:
-    references = random_features(np.random.default_rng(0), 50)
-    matches = match_nearest_sequence(references, references[17:40], 5, ignore)
-    assert matches.reference.tolist() == [NONE] * 4 + list(range(21, 40))
-    assert matches.score[4:] == pytest.approx(1.0, abs=1e-5)
-
-
 def dense(chain: Chain) -> np.ndarray:
     """Return how likely each state (a column) becomes each other one."""
     return np.array(
@@ -165,9 +149,11 @@ def test_probabilities_are_those_of_dense_matrices(
         after /= after.max()
 
 
-def test_who_runs_off_the_end_is_nowhere() -> None:
-    """At the last reference, at one reference a query."""
+def test_traverse_is_nowhere_when_it_runs_off_the_end() -> None:
+    """Follow the references one at a time up to the last one."""
     chain = Chain(20)
-    belief = np.zeros_like(chain.first())
-    belief[SPEEDS.index(1.0) * 20 + 19] = 1.0
+    belief = chain.first()
+    for here in range(10, 20):
+        ratios = np.where(np.arange(20) == here, 1e4, 1.0).astype(np.float32)
+        belief = chain.seen(chain.ahead(belief), ratios)
     assert chain.at_references(chain.ahead(belief))[1] > 0.9

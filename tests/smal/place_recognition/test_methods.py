@@ -12,7 +12,8 @@ from smal.paper.phase import matched_phase
 from smal.place_recognition.matches import NONE, ignore
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
 from smal.place_recognition.paper_matching import LAMBDA_SCALE, match_as_in_the_paper
-from tests.smal.place_recognition.traverses import Road, Walk, unit
+from tests.smal.place_recognition.traverses import Road, Walk
+from tests.smal.worlds import unit
 
 N = 100
 FIRST = 20
@@ -65,7 +66,6 @@ def test_of_too_few_frames_no_method_finds_a_match(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["image", "nearest", "paper", "smal"])
 def test_one_photo_is_found(name: str) -> None:
-    """Its own mean is all that it shows."""
     method = METHODS[name]
     references, queries = raw_traverses(method.features)
     for query in range(0, LAST - FIRST, 7):

@@ -1,4 +1,4 @@
-"""Where queries are among references: one way that is driven again, otherwise."""
+"""Places of queries among references, for drives at any speed and direction."""
 
 import itertools
 import threading
@@ -14,7 +14,8 @@ from smal.features.extraction import in_parallel
 from smal.place_recognition import places as module
 from smal.place_recognition.hidden_markov import Chain, smoothed
 from smal.place_recognition.places import match_places
-from tests.smal.place_recognition.traverses import Walk, unit
+from tests.smal.place_recognition.traverses import Walk
+from tests.smal.worlds import unit
 
 N = 240
 LAGGED = (
@@ -60,7 +61,6 @@ def test_the_place_is_found(name: str, lag: int | None) -> None:
 
 
 def test_scores_are_the_share_that_is_right() -> None:
-    """With so much noise that many queries are not found."""
     said = []
     true = []
     for seed in range(4):
@@ -74,7 +74,7 @@ def test_scores_are_the_share_that_is_right() -> None:
     assert abs(scores.mean() - right.mean()) < 0.1
 
 
-def test_what_no_reference_shows_is_unknown() -> None:
+def test_query_without_reference_is_unknown() -> None:
     """The references lack a third of the way."""
     places = np.arange(10.0, 230.0)
     references, queries = traverses(places, 1.0)
@@ -99,7 +99,7 @@ def test_either_of_two_visits_is_a_match() -> None:
     assert (np.abs(ways[matches.reference] - places) <= 2).mean() > 0.97
 
 
-def test_parts_answer_as_the_whole_does_whoever_works_on_them(
+def test_parts_answer_as_the_whole(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     ways = np.tile(np.append(np.arange(20.0, 220.0), np.arange(220.0, 20.0, -1.0)), 6)
@@ -117,7 +117,7 @@ def test_parts_answer_as_the_whole_does_whoever_works_on_them(
     np.testing.assert_allclose(by_parts.score, whole.score, atol=1e-4)
 
 
-def test_what_nobody_waits_for_any_more_ends() -> None:
+def test_abandoned_work_ends() -> None:
     begun = threading.Event()
     looks = itertools.count()
 
@@ -133,13 +133,13 @@ def test_what_nobody_waits_for_any_more_ends() -> None:
     answers = in_parallel(work, [None, np.ones((10_000, 1), np.float32)])
     next(answers)
     begun.wait()
-    answers.close()  # type: ignore[attr-defined]  # it is a generator
+    answers.close()
     assert next(looks) < 100, (
         "looks at each of a hundred blocks, of which it would look at each twice"
     )
 
 
-def test_answers_do_not_know_what_comes_later_than_the_lag() -> None:
+def test_answers_depend_on_no_frame_after_the_lag() -> None:
     references, queries = traverses(drives()["waves"], 3.0)
     for lag in (0, 7):
         whole, part = (match_places(references, queries[:some], 2, lag) for some in (90, 60))
@@ -164,8 +164,3 @@ def test_sizes(seed: int, n: int, q: int, lag: int | None) -> None:
     assert matches.reference.max(initial=0) < n
     assert done == sorted(done)
     assert done[-1] == q
-
-
-def test_a_traverse_is_found_in_itself() -> None:
-    references, _ = traverses(np.zeros(1), 0.0)
-    assert match_places(references, references.copy()).reference.tolist() == list(range(N))

@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.smal.worlds import unit
+
 
 def random_features(rng: np.random.Generator, count: int, size: int = 24) -> NDArray[np.float32]:
     """Return features (count, size) of frames that have nothing to do with each other, of length 1."""
@@ -24,16 +26,8 @@ class Road:
         )
 
 
-def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    scaled: NDArray[np.float64] = np.divide(
-        vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0
-    )
-    return scaled
-
-
 class Walk:
-    """What is seen along a way of n frames: neighbours resemble each other, others do not."""
+    """Views along a way of n frames: neighbours resemble each other, others do not."""
 
     def __init__(self, rng: np.random.Generator, n: int, size: int = 96) -> None:
         steps = rng.normal(size=(n + 8, size))

@@ -1,1 +1,1 @@
-"""Tests: the robot sees what it was sent to find."""
+"""Tests of target detection."""

@@ -1,4 +1,4 @@
-"""What a drive ends before is told from its absence, and from something else in its place."""
+"""The target at the end of a drive: present, absent, or replaced by something else."""
 
 from dataclasses import replace
 from functools import cache
@@ -58,15 +58,13 @@ def sight() -> Sight:
 
 
 @pytest.mark.parametrize(("step", "aside"), [(STEPS - 1.4, 0), (STEPS - 2.6, 6), (STEPS - 0.8, -9)])
-def test_it_is_seen_from_where_nobody_drove_and_missed_where_it_is_not(
-    step: float, aside: int
-) -> None:
+def test_target_is_seen_from_new_places_and_missed_when_absent(step: float, aside: int) -> None:
     assert Witness(sight()).look(view(step, ORANGE, BLUE, aside=aside)).probability > 0.99
     assert Witness(sight()).look(view(step)).probability < 0.1
     assert Witness(sight()).look(view(step, GREY, (200, 40, 160), aside=aside)).probability < 0.5
 
 
-def test_what_a_person_has_drawn_a_box_round_is_sought_and_not_what_stands_beside_it() -> None:
+def test_target_is_the_boxed_thing_alone() -> None:
     size = 14  # Of each, in the last view; the blue one stands to the right of the middle.
     box = 40 / SHAPE[1], 40 / SHAPE[0], (40 + size) / SHAPE[1], (40 + size) / SHAPE[0]
     learned = learn_sight([replace(taught(ORANGE, BLUE), box=box)])
@@ -78,7 +76,7 @@ def test_what_a_person_has_drawn_a_box_round_is_sought_and_not_what_stands_besid
     )
 
 
-def test_on_the_way_nothing_is_seen() -> None:
+def test_target_is_not_seen_on_the_way() -> None:
     seen = [Witness(sight()).look(view(step + 0.5)) for step in range(STEPS - 20)]
     assert max(one.probability for one in seen) < 0.5
     assert max(one.near for one in seen) < 0.5
@@ -88,7 +86,7 @@ def test_it_is_seen_in_half_the_light() -> None:
     assert Witness(sight()).look(view(STEPS - 1.4, ORANGE, BLUE) // 2).probability > 0.99
 
 
-def test_it_is_near_where_it_looks_about_as_large_as_at_the_end_of_the_way() -> None:
+def test_target_is_near_when_it_is_as_large_as_taught() -> None:
     near = [
         Witness(sight()).look(view(step, ORANGE, BLUE)).near
         for step in (STEPS - 13, STEPS - 5, STEPS - 1.4)
@@ -107,7 +105,7 @@ def test_a_hidden_view_is_no_evidence() -> None:
     assert witness.look(hidden).probability == found > 0.99
 
 
-def test_where_nothing_stands_out_nothing_is_sought() -> None:
+def test_no_target_is_learned_when_nothing_stands_out() -> None:
     round_again = [view(step % 40) for step in range(STEPS)]
     assert learn_sight([Taught(round_again, taught().left_s, ends=True)]) is None
     assert learn_sight([Taught([view(0)] * 3, np.arange(3.0)[::-1], ends=True)]) is None
@@ -125,12 +123,11 @@ def test_parts_that_do_not_fit_are_refused_by_name() -> None:
         )
 
 
-def test_a_robot_that_arrives_and_does_not_see_it_says_that_it_is_not_here(tmp_path: Path) -> None:
-    """Of a model without anything to be seen, arrived is what it says; a file keeps what is sought."""
+def test_robot_reports_not_here_when_its_target_is_missing(tmp_path: Path) -> None:
     for sights, said in (({}, "found"), ({"victim": sight()}, "not_here")):
         replace(model(), sights=sights).save(tmp_path / "way.smal")
         robot = Robot(Model.load(tmp_path / "way.smal"))
-        here = (0.1, 0.3, 0.1)
+        here = (2.4, 0.1, 0.05)
         for _ in range(250):
             here = moved(here, robot.step(corridor(*here), here))
             if robot.done:
@@ -138,7 +135,7 @@ def test_a_robot_that_arrives_and_does_not_see_it_says_that_it_is_not_here(tmp_p
         assert robot.said == said
 
 
-def test_a_file_whose_sights_do_not_fit_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_file_is_refused_when_its_target_does_not_fit(tmp_path: Path) -> None:
     harmed = replace(model(), sights={"victim": sight()})
     vars(harmed.sights["victim"])["far"] = -1.0
     try:

@@ -1,1 +1,1 @@
-"""Tests: the map is made of drives."""
+"""Tests of teaching."""

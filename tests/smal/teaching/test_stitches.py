@@ -1,4 +1,4 @@
-"""Drives that share a stretch are joined there, and nowhere else; by the joints the robot goes where nobody drove."""
+"""Drives are joined along stretches that they share, and nowhere else."""
 
 import math
 from collections.abc import Callable
@@ -28,7 +28,7 @@ def two() -> tuple[VisualMap, Centering]:
     return stitched(replace(found, goals=("left", "right"))), centering
 
 
-def test_drives_are_joined_where_they_share_the_way_and_both_ways() -> None:
+def test_drives_are_joined_along_their_shared_way() -> None:
     found, _ = two()
     first = found.key_poses[found.stitched[:, 0]]
     second = found.key_poses[found.stitched[:, 1]]
@@ -52,7 +52,7 @@ def test_drives_in_different_rooms_are_not_joined() -> None:
     assert stitched(taught(Room(), LEFT, there, scene=SCENE)[0]).stitched.shape == (0, 2)
 
 
-def test_drives_that_are_joined_are_drawn_in_the_axes_of_the_first() -> None:
+def test_joined_drives_are_drawn_in_common_axes() -> None:
     found, _ = two()
     poses = found.poses.copy()
     second = found.drives == 1
@@ -66,7 +66,7 @@ def test_drives_that_are_joined_are_drawn_in_the_axes_of_the_first() -> None:
     np.testing.assert_array_equal(in_common_axes(alone), alone.key_poses)
 
 
-def test_places_that_look_alike_are_not_joined_where_odometry_leads_elsewhere() -> None:
+def test_similar_places_are_not_joined_against_the_odometry() -> None:
     found, _ = two()
     drives = found.drives[found.keyframes]
     ends = [np.flatnonzero(drives == number)[-9:] for number in (0, 1)]
@@ -97,8 +97,9 @@ def of_two_people() -> tuple[VisualMap, Centering]:
     return stitched(replace(found, goals=("left", "right"))), centering
 
 
-@pytest.mark.parametrize("goal", ["left", "right"])
-@pytest.mark.parametrize("taught_by", [two, of_two_people])
+@pytest.mark.parametrize(
+    ("goal", "taught_by"), [("left", two), ("right", two), ("right", of_two_people)]
+)
 def test_each_goal_is_reached_from_the_start_of_the_other_drive(
     goal: str, taught_by: Callable[[], tuple[VisualMap, Centering]]
 ) -> None:

@@ -1,4 +1,4 @@
-"""Views from where nobody drove, against what a camera there sees."""
+"""Virtual views against a camera at the same pose."""
 
 import math
 from collections.abc import Iterable
@@ -53,7 +53,7 @@ def difference(one: Image, other: Image) -> float:
         (0.15, 0.1, 10),
     ],
 )
-def test_a_warped_view_is_what_a_camera_there_sees(
+def test_warped_view_matches_a_camera_there(
     lens: str, ahead: float, left: float, turn_deg: float
 ) -> None:
     camera = LENSES[lens]
@@ -102,13 +102,13 @@ def test_a_drive_tells_its_camera() -> None:
     assert 1.5 < found.distance < 12.0
 
 
-def test_a_wide_lens_that_nobody_calibrated_is_noticed() -> None:
+def test_uncalibrated_wide_lens_is_noticed() -> None:
     found = fitted(Room(), drive(), Camera.of_field(130.0, "equidistant")).camera
     assert found.lens == "equidistant"
     assert found.field_deg == pytest.approx(130.0, abs=10.0 + 1e-6)
 
 
-def test_a_drive_without_turns_assumes_a_usual_camera_and_a_known_one_is_kept() -> None:
+def test_drive_without_turns_assumes_or_keeps_a_camera() -> None:
     straight = drive(way=((2.0, 0.0),), rate_hz=5.0)
     assert fitted(Room(), straight).camera.field_deg == pytest.approx(70.0)
     found = fitted(Room(), straight, told=CAMERA)
@@ -125,5 +125,4 @@ def test_views_tell_how_far_an_atom_turns(speed: float, rate_hz: float) -> None:
     found = turn_of_views(
         images * 2, [one.atoms] * 2, [CAMERA], lambda views: centering.apply(raw_of(views))
     )
-    assert found is not None
     assert found[1] == pytest.approx(TURN_RAD_S * speed / rate_hz, rel=0.15)

@@ -1,5 +1,6 @@
-"""The map of taught ways: which frames it keeps, what it measures of views, and what it refuses."""
+"""The map of taught ways: keyframes, measures of views, and refusals."""
 
+import json
 import math
 import multiprocessing
 import threading
@@ -61,7 +62,7 @@ def learn(
     return mapping.learn(drives, COLOR, 0.1, config=MapConfig(sampled_views=500)).mapped
 
 
-def test_keyframes_are_a_fifth_of_the_correlation_length_or_some_degrees_apart() -> None:
+def test_keyframes_are_spaced_by_correlation_length_and_turn() -> None:
     found = usual_map()[0]
     step = np.abs(np.diff(found.key_poses, axis=0))
     way = np.hypot(step[:, 0], step[:, 1])
@@ -107,7 +108,7 @@ def test_a_view_is_most_alike_to_the_virtual_view_from_there() -> None:
                 assert abs(TURNS_DEG[best[1]] - turn) <= 5.0
 
 
-def test_of_a_long_way_the_right_place_is_among_those_that_are_looked_at() -> None:
+def test_right_place_is_among_the_candidates_of_a_long_way() -> None:
     found, centering = usual_map()
     count = len(found.keyframes)
     one = drive()
@@ -121,8 +122,7 @@ def test_of_a_long_way_the_right_place_is_among_those_that_are_looked_at() -> No
         assert np.abs(found.keyframes[keyframes[:20]] - frame).min() <= 2
 
 
-def test_the_correlation_length_does_not_depend_on_how_long_the_drive_is() -> None:
-    """Looked at as closely as it is over ten kilometres: at few of its frames."""
+def test_correlation_length_does_not_depend_on_drive_length() -> None:
     usual = usual_map()[0].correlation_length
     closely = replace(CALIBRATION, most_frames=64, reach=1.0)
     with patch("smal.teaching.mapping.TaughtFrames", partial(TaughtFrames, config=closely)):
@@ -143,8 +143,7 @@ def length_of(way: np.ndarray, views: np.ndarray) -> float:
     return correlation_length(frames, Camera.of_field(70.0))[0]
 
 
-def test_a_hidden_view_at_a_creeping_pace_does_not_shorten_the_correlation_length() -> None:
-    """Views half as alike after 3 m; once, where the robot creeps, somebody passes: few pairs are so near."""
+def test_hidden_view_does_not_shorten_the_correlation_length() -> None:
     rng = np.random.default_rng(0)
     way = np.sort(np.append(np.arange(0.0, 80.0), 40.25))
     views = [unit(rng.standard_normal(1024).astype(np.float32))]
@@ -159,7 +158,6 @@ def test_a_hidden_view_at_a_creeping_pace_does_not_shorten_the_correlation_lengt
 
 
 def test_views_that_stay_alike_nowhere_are_refused() -> None:
-    """Noise alone: standing still, no image is like the one before."""
     rng = np.random.default_rng(0)
     way = np.repeat(np.arange(0.0, 40.0), 3)
     views = unit(rng.standard_normal((len(way), 1024)).astype(np.float32))
@@ -252,7 +250,7 @@ def test_a_drive_that_stands_is_refused_beside_one_that_does_not() -> None:
         )
 
 
-def test_a_camera_that_sees_nothing_is_refused() -> None:
+def test_camera_that_sees_nothing_is_refused() -> None:
     one = drive(way=((1.0, 0.0),))
     with pytest.raises(ValueError, match="all images of the demonstrations look the same"):
         learn(
@@ -263,7 +261,7 @@ def test_a_camera_that_sees_nothing_is_refused() -> None:
 def test_the_content_makes_the_map_again() -> None:
     good = of_two_drives()
     numbers, arrays = good.content()
-    again = VisualMap(**numbers, **arrays)
+    again = VisualMap.of_content(json.loads(json.dumps(numbers)), arrays)
     assert not {*numbers} & {*arrays}
     assert again.content()[0] == numbers
     for name, array in arrays.items():

@@ -1,1 +1,1 @@
-"""What a person does on the page, in a real browser, with one stack for all of it."""
+"""The page in a real browser, with one stack for all tests."""

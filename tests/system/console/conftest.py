@@ -1,4 +1,4 @@
-"""One stack with its page, for all that a person does there."""
+"""One stack with its page."""
 
 from __future__ import annotations
 

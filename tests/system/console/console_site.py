@@ -1,4 +1,4 @@
-"""A stack with its page, a browser that opens it, and what a person does there."""
+"""A stack with its page, a browser that opens it, and the actions of a person."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from schemas import topics
 from schemas.codec import decode
 from schemas.command import CommandApplied
 from schemas.episode import Episode
-from schemas.motion import Pose
+from schemas.motion import TruePose
 from schemas.rpc import Nothing, Status
 from services.cli.stack import Stack
 from services.expert.driver import RouteDriver
 from services.kit.bus import Bus, RpcError
 from services.simulator.world import load_world
 from services.simulator.world.route import plan_route
-from tests.services.waiting import eventually, status_of
+from tests.services.waiting import collected, eventually, status_of
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -36,19 +36,15 @@ AGAIN_S = 15.0  # After so long a person presses a button again.
 
 
 class Site:
-    """A stack with its page, and what the robot really does."""
+    """A stack with its page, and the robot's true motion."""
 
     def __init__(self, address: str, stack: Stack, bus: Bus, root: Path) -> None:
         self.address = address
         self.stack = stack
         self.bus = bus
         self.root = root
-        self.poses: list[Pose] = []
+        self.poses: list[TruePose] = collected(bus, topics.POSE)
         self.applied: list[tuple[float, CommandApplied]] = []  # What moved the robot, since when.
-        bus.subscribe(
-            topics.POSE,
-            lambda payload, encoding, _: self.poses.append(decode(Pose, payload, encoding)),
-        )
         bus.subscribe(topics.APPLIED, self._note)
         self.ended = ""  # The episode that ended last: from then on the robot stands, and tells no more of it.
         bus.subscribe(topics.EPISODE, self._note_end)
@@ -77,11 +73,10 @@ class Site:
     def pid_of_console(self) -> int:
         """Wait until the console answers; return its process id."""
         status = eventually(lambda: status_of(self.bus, "console"))
-        assert status is not None
         return status.pid
 
     def robot(self, key: str) -> object:
-        """Return what the robot tells of itself."""
+        """Return an entry of the status of the robot."""
         with suppress(RpcError):
             return self.bus.call("robot", "status", Nothing(), Status).detail[key]
         return None
@@ -112,12 +107,12 @@ def opened(browser: Browser, site: Site, by: str | None = None) -> Iterator[Page
 
 
 def told(page: Page) -> str:
-    """Return the line that says how the robot is."""
+    """Return the line of the page with the robot's status."""
     return page.inner_text("#status")
 
 
 def data(page: Page, name: str) -> str:
-    """Return what the page notes of the episode."""
+    """Return an attribute of the episode on the page."""
     return page.get_attribute("body", f"data-{name}") or ""
 
 
@@ -201,7 +196,7 @@ def drive_to_the_victim(page: Page, site: Site, name: str) -> None:
             held = key
         if was_lost(page, site):
             held = ""
-        eventually(lambda seen=here: site.poses[-1] is not seen)  # type: ignore[misc]
+        eventually(lambda seen=here: site.poses[-1] is not seen)
         here = site.poses[-1]
     page.keyboard.up(held)
 

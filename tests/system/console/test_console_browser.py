@@ -1,4 +1,4 @@
-"""The page in a real browser, on the real stack: what a person clicks and presses, and what becomes of the robot."""
+"""The page in a real browser on the real stack: clicks and keys drive the robot, and it stands in time."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def stands_in_time(
 
 
 @pytest.mark.parametrize("fate", FATES)
-def test_whatever_becomes_of_the_page_the_robot_stands(
+def test_robot_stands_when_its_page_is_gone(
     browser: Browser, site: Site, lost_s: Lost, fate: str
 ) -> None:
     with opened(browser, site) as page:
@@ -133,8 +133,7 @@ def test_whatever_becomes_of_the_page_the_robot_stands(
         stands_in_time(page, site, lost_s, FATES[fate], fate)
 
 
-def test_what_is_not_held_any_more_moves_nothing(page: Page, site: Site, lost_s: Lost) -> None:
-    """A key, whatever takes it away, and the pad; what stops the robot keeps it stopped until it is armed."""
+def test_robot_stands_when_its_key_is_released(page: Page, site: Site, lost_s: Lost) -> None:
     drive_ahead(page, site)
     for name, (befalls, undo) in LETS_GO.items():
         hold(page, site, lambda: (page.keyboard.up("w"), page.keyboard.down("w")))
@@ -168,13 +167,13 @@ def killed(site: Site) -> Iterator[None]:
         site.pid_of_console()
 
 
-def test_without_its_console_the_robot_stands_until_somebody_asks(
+def test_robot_stands_without_its_console_until_it_is_armed(
     browser: Browser, site: Site, lost_s: Lost
 ) -> None:
     faults: tuple[tuple[Callable[[int], AbstractContextManager[None]], str], ...] = (
         (lambda _: frozen(site.pid_of_console()), "The console has been silent for"),
         (frozen, "The console has been silent for"),  # the link
-        (lambda _: killed(site), "No connection to the console for"),
+        (lambda _: killed(site), "Not connected to the console for"),
     )
     with (
         link(f"tcp/{site.address}") as way,
@@ -185,11 +184,11 @@ def test_without_its_console_the_robot_stands_until_somebody_asks(
             began_s = time.monotonic()
             with fault(way.pid):
                 assert site.stood_s(began_s) <= STAND_WITHIN_S + lost_s(began_s)
-                eventually(lambda says=says: told(page).startswith(says))  # type: ignore[misc]
+                eventually(lambda says=says: told(page).startswith(says))
             # The key is still down.
             eventually(lambda: "console" not in told(page))
             said = len(site.applied)
-            eventually(lambda said=said: len(site.applied) > said + 10)  # type: ignore[misc]
+            eventually(lambda said=said: len(site.applied) > said + 10)
             assert not site.drives
             assert site.robot("stop_cause") is not None
             page.keyboard.up("w")
@@ -197,7 +196,7 @@ def test_without_its_console_the_robot_stands_until_somebody_asks(
             hold(page, site, lambda: page.keyboard.down("w"))
 
 
-def test_a_stop_that_may_not_arrive_is_said(page: Page, site: Site) -> None:
+def test_page_warns_when_a_stop_may_be_late(page: Page, site: Site) -> None:
     with frozen(site.pid_of_console()):
         eventually(lambda: told(page).startswith("The console has been silent for"))
         page.keyboard.press("Escape")

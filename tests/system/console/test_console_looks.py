@@ -1,4 +1,4 @@
-"""Who sees the page, and how: by keys alone, by day and night, on narrow screens; nothing shifts, nothing grows."""
+"""The page by keys alone, by day and night, on narrow screens."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ VIOLATIONS = """axe.run({resultTypes: ["violations"]}).then(({violations}) => vi
 
 
 @pytest.mark.usefixtures("taught_here")
-def test_axe_core_finds_nothing(page: Page, site: Site) -> None:
+def test_axe_core_finds_no_violation(page: Page, site: Site) -> None:
     axe = pytest.importorskip(
         "axe_playwright_python.base", reason="axe-playwright-python is not installed"
     )
@@ -76,7 +76,7 @@ def test_axe_core_finds_nothing(page: Page, site: Site) -> None:
     def violations(sizes: dict[int, int] = SIZES) -> dict[tuple[str, int], list[str]]:
         found = {}
         for scheme in ("light", "dark"):
-            page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+            page.emulate_media(color_scheme=scheme)
             for width, height in sizes.items():
                 page.set_viewport_size({"width": width, "height": height})
                 found[scheme, width] = run_in(page, VIOLATIONS)

@@ -72,40 +72,51 @@ class Success:
         self.runs = len(searches)
         self.rate = self.found / self.runs
         self.wilson_95 = wilson_interval(self.found, self.runs)
-        shortest, driven, ticks = (self._of(name) for name in ("shortest_m", "driven_m", "ticks"))
-        found = np.array(self.outcomes) == "found"
-        shares = found * shortest / np.maximum(np.maximum(driven, shortest), 1e-9)
-        self.spl = None if trial.kidnap_tick else float(shares.mean())
-        self.aside_rms_m = float(
-            np.sqrt(np.average(self._of("aside_rms_m") ** 2, weights=ticks + 1))
-        )
+        failed = sum(one["outcome"] != "found" and one["right"] is not True for one in searches)
+        self.spl = self._spl()
+        self.aside_rms_m = self._rms("aside_rms_m")
         self.aside_max_m = float(self._of("aside_max_m").max())
         self.clearance_p5_m = float(self._of("clearance_p5_m").mean())
-        self.turns_per_m = (
-            float(self._of("turns").sum() / driven.sum()) if driven.sum() > 1.0 else None
-        )
-        self.jerk_m_s3 = float(np.sqrt(np.average(self._of("jerk_m_s3") ** 2, weights=ticks + 1)))
-        told = found.any() and not trial.kidnap_tick and trial.start == "start"
-        self.time_over_taught = (
-            float((ticks / self._of("taught_ticks"))[found].mean()) if told else None
-        )
-        failed = sum(one["outcome"] != "found" and one["right"] is not True for one in searches)
-        self.interventions_per_km = 1e3 * failed / driven.sum() if driven.sum() > 1.0 else None
-        tells = "wrong_share" in searches[0]
-        self.wrong_share = (
-            float(np.average(self._of("wrong_share"), weights=ticks)) if tells else None
-        )
-        times = [one["right_after_s"] for one in searches if "right_after_s" in one]
-        soon = [time is not None and time <= SOON_S for time in times]
-        self.right_soon = (sum(soon), len(soon)) if soon else None
+        self.turns_per_m = self._per_m(self._of("turns").sum())
+        self.jerk_m_s3 = self._rms("jerk_m_s3")
+        self.time_over_taught = self._time_over_taught()
+        self.interventions_per_km = self._per_m(1e3 * failed)
+        self.wrong_share = self._wrong_share()
+        self.right_soon = self._right_soon()
 
     def _of(self, name: str) -> NDArray[np.float64]:
         return np.array([one[name] for one in self.searches], dtype=np.float64)
 
-    @property
-    def said(self) -> str:
-        """For people."""
-        return f"{self.found} of {self.runs}"
+    def _rms(self, name: str) -> float:
+        return float(np.sqrt(np.average(self._of(name) ** 2, weights=self._of("ticks") + 1)))
+
+    def _per_m(self, count: float) -> float | None:
+        driven_m = self._of("driven_m").sum()
+        return float(count / driven_m) if driven_m > 1.0 else None
+
+    def _spl(self) -> float | None:
+        if self.trial.kidnap_tick:
+            return None
+        shortest = self._of("shortest_m")
+        longest = np.maximum(self._of("driven_m"), shortest)
+        found = np.array(self.outcomes) == "found"
+        return float((found * shortest / np.maximum(longest, 1e-9)).mean())
+
+    def _time_over_taught(self) -> float | None:
+        if not self.found or self.trial.kidnap_tick or self.trial.start != "start":
+            return None
+        ratio = self._of("ticks") / self._of("taught_ticks")
+        return float(ratio[np.array(self.outcomes) == "found"].mean())
+
+    def _wrong_share(self) -> float | None:
+        if "wrong_share" not in self.searches[0]:
+            return None
+        return float(np.average(self._of("wrong_share"), weights=self._of("ticks")))
+
+    def _right_soon(self) -> tuple[int, int] | None:
+        times = [one["right_after_s"] for one in self.searches if "right_after_s" in one]
+        soon = sum(time is not None and time <= SOON_S for time in times)
+        return (soon, len(times)) if times else None
 
     def as_json(self) -> dict[str, Any]:
         """Return its numbers."""
@@ -127,6 +138,17 @@ class WorldResults:
     recognized: list[Recognized]
     successes: list[Success]
     errands: Mapping[str, Finding]
+
+    @property
+    def by_condition(self) -> list[Success]:
+        """The searches as taught by their number of drives, then the others by condition."""
+
+        def order(one: Success) -> tuple[bool, int, str, str]:
+            special = one.trial.condition != "as taught"
+            names = (one.trial.condition, one.trial.title) if special else ("", "")
+            return special, 0 if special else one.trial.drives, *names
+
+        return sorted(self.successes, key=order)
 
     def as_json(self) -> dict[str, Any]:
         """Return the numbers of all figures."""

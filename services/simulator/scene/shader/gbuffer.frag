@@ -1,8 +1,8 @@
 #version 450
 
-// One texture, one multiplication, one target: on software drivers the time of a frame is the time of its pixels.
-// Textures hold colours as a screen shows them, and so does the light by now: the product of two powers is the power
-// of the product. The alpha of the picture tells what a pixel shows; the material carries that number as roughness.
+// One texture, one multiplication, one target: on software drivers the pixels determine the frame time.
+// Textures and light are both gamma-encoded, since the product of two powers is the power of the product.
+// The alpha channel is the label of the pixel, which the material carries as roughness.
 
 layout(set = 2, binding = 0) uniform MaterialBuffer {
   vec4 emission;
@@ -40,6 +40,6 @@ void main() {
   } else {
     color = texture(colorTexture, inUV).rgb * inLight;
   }
-  // Blending multiplies by the alpha.
+  // Compensates the multiplication by alpha in blending.
   outColor = vec4(color / label, label);
 }

@@ -1,8 +1,8 @@
 #version 450
 
-// Light falls on vertices: walls and floors are flat, so that their pixels would all compute the same.
+// Lighting per vertex: walls and floors are flat, so all their pixels would give the same result.
 
-// Numbers of lights are told to fragment shaders only, so that there are always as many as this.
+// SAPIEN passes the number of lights to fragment shaders only, so it is fixed here.
 const int LIGHTS = 3;
 const float PI = 3.141592653589793;
 const float GAMMA = 2.2;

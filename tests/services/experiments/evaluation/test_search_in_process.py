@@ -11,8 +11,7 @@ from schemas.base import Message
 from schemas.camera import CompressedImage
 from schemas.command import Command
 from schemas.episode import Episode, Purpose
-from schemas.motion import Odometry
-from schemas.motion import Pose as TruePose
+from schemas.motion import Odometry, TruePose
 from schemas.observation import Observation
 from schemas.rpc import ResetRequest, Scheme
 from services.experiments.evaluation.search import search

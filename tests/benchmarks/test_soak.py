@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.benchmarks.soak.growth import Sample, judge, warmed_up
-from tests.benchmarks.soak.page import Held, judge_page
+from tests.benchmarks.soak import Held, Sample, judge, judge_page, warmed_up
 
 
 def hour(

@@ -97,7 +97,7 @@ def test_one_lap_of_a_recording_teaches_and_a_page_says_how_well_others_are_know
         monkeypatch.setattr(f"services.experiments.laps.{module}.JUDGED", COLOR)
     monkeypatch.setattr("smal.teaching.mapping.fit_camera", lambda *_: SCENE.camera)
     monkeypatch.setattr("smal.teaching.mapping.fit_scene", lambda *_: SCENE)
-    status, said, _ = smal("evaluate", "--laps", recording, "--out", tmp_path)
+    status, said, _ = smal("laps", recording, "--out", tmp_path)
     assert (status, said) == (0, f"results: {tmp_path / 'index.html'}\n")
     found = json.loads((tmp_path / "results.json").read_text())
     assert found["laps"] == len(LAPS) - 1

@@ -16,6 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from services.cli import options
@@ -93,23 +94,22 @@ def growth(fleets: dict[str, list[dict[str, Any]]]) -> Figure:
     """Draw frames a second, the decisions' latency and memory over the number of robots."""
     drawn = Figure(figsize=(11.0, 3.2))
     rates, latencies, memory = drawn.subplots(1, 3)
+    beside: dict[str, Any] = {"xytext": (4, -11), "textcoords": "offset points", "fontsize": 8}
     for (title, of_each), colour in zip(fleets.items(), COLOURS, strict=False):
-        robots = [one["robots"] for one in of_each]
-        held = [sum(one[f"{name}_mb"] for name in _SHARED) for one in of_each]
-        for axes, values in (
-            (rates, [one["frames_hz"] for one in of_each]), (latencies, [one["p95_ms"] for one in of_each]),
-            (memory, held),
-        ):  # fmt: skip
-            axes.plot(robots, values, "o-", color=colour, label=title)
-        for one in of_each:
-            told = (one["robots"], one["frames_hz"])
-            rates.annotate(
-                f"{one['found']} found",
-                told,
-                textcoords="offset points",
-                xytext=(4, -11),
-                fontsize=8,
+        robots, frames_hz, worst_ms, found, *held = (
+            [one[name] for one in of_each]
+            for name in (
+                "robots",
+                "frames_hz",
+                "p95_ms",
+                "found",
+                *(f"{name}_mb" for name in _SHARED),
             )
+        )
+        for axes, values in ((rates, frames_hz), (latencies, worst_ms), (memory, np.sum(held, 0))):
+            axes.plot(robots, values, "o-", color=colour, label=title)
+        for count, *at in zip(found, robots, frames_hz, strict=True):
+            rates.annotate(f"{count} found", at, **beside)
     latencies.axhline(_VALID_MS, color=MUTED, ls="--", lw=1.0)
     rates.set_title("frames a second, of all robots together")
     latencies.set_title("95th percentile of decisions, slowest robot, ms")

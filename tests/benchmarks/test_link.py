@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.benchmarks.child import child
-from tests.benchmarks.link.air import ADDRESSES, Link, Quality, enter, link
+from tests.benchmarks.link import ADDRESSES, Link, Quality, enter, link
 from tests.services.waiting import eventually
 
 pytestmark = pytest.mark.system

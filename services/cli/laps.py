@@ -1,0 +1,34 @@
+"""``smal laps``: how well a robot recognizes other laps by one, as a page of results."""
+
+from contextlib import closing
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Argument, Option
+
+from services.cli import outputs
+from services.experiments.progress import Bars
+
+
+def laps(
+    source: Annotated[Path, Argument(help="Tub of donkeycar, recording, or folder of recordings.")],
+    out: Annotated[Path, Option(help="Folder for the results.")],
+) -> None:
+    """Evaluate SMAL on laps of a real robot, and write a page of results.
+
+    One lap teaches SMAL, which estimates the place of each frame of all other laps, with and without odometry, beside
+    the nearest taught frame and teach and repeat. It needs three whole laps, which are found by recurring views, and
+    takes some minutes. OUT/index.html is the page, OUT/results.json has the numbers.
+
+    Example: smal laps tub --out laps
+    """
+    from services.experiments.laps.asking import ask  # noqa: PLC0415 - what follows loads much
+    from services.experiments.laps.report import write_page  # noqa: PLC0415
+    from services.experiments.laps.source import read_laps  # noqa: PLC0415
+
+    with closing(Bars()) as bar:
+        found = read_laps(source, bar)
+        outputs.make_folder(out, "--out")
+        judged = ask(found, bar)
+    typer.echo(f"results: {write_page(out, source, found, judged)}")

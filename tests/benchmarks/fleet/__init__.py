@@ -1,1 +1,0 @@
-"""Fleet: several simulated robots at once, on one instance of each service."""

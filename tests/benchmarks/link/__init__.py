@@ -1,1 +1,0 @@
-"""What a bad link between robot and perception costs."""

@@ -1,1 +1,0 @@
-"""How long a decision takes on a long way."""

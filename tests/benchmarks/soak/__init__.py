@@ -1,1 +1,0 @@
-"""What the services hold while the robot drives for an hour."""
