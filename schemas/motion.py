@@ -9,7 +9,7 @@ from schemas.base import Message, Strict
 
 
 class TruePose(Message):
-    """True planar pose of the robot in the world (from the simulator; never seen by the method)."""
+    """Ground truth: planar pose of the robot in the world (unused by the method)."""
 
     topic: ClassVar[str] = "pose/truth"
 

@@ -69,7 +69,7 @@ def test_button_that_reports_changes_must_have_reported_once(tmp_path: Path) -> 
 
 
 def test_base_is_ordered_to_stand_when_it_is_unreachable(rig: Rig) -> None:
-    rig.begun().air.lack = "nobody subscribes to /cmd_vel"
+    rig.begun().air.lack = "/cmd_vel has no subscriber"
     assert not rig.may_go("forward")
     with pytest.raises(
         ServiceError, match=r"^base: /cmd_vel has no subscriber; does tcp/\S+ reach it"

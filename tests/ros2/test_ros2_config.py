@@ -80,10 +80,10 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
         ),
         ("- a\n", "expected settings such as `preset: turtlebot4`"),
         ("", "expected settings such as"),
-        ("a: [\n", "no YAML in line"),
-        ("!!python/object/apply:os.system ['true']\n", "no YAML"),
-        ("[" * 1500, "no YAML"),
-        ("a: " + "x" * 70000, "larger than 65536 bytes"),
+        ("a: [\n", "invalid YAML in line"),
+        ("!!python/object/apply:os.system ['true']\n", "invalid YAML"),
+        ("[" * 1500, "invalid YAML"),
+        ("a: " + "x" * 70000, "too large for a configuration (maximum 65536 bytes)"),
     ],
 )
 def test_a_mistake_is_one_line_that_names_it(text: str, line: str, tmp_path: Path) -> None:

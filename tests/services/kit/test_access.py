@@ -282,7 +282,7 @@ def test_certificate_is_refused_in_one_line_when_it_is_invalid(
         assert _refused(endpoint, operator)
     with closing(zenoh.open(_router_configuration(endpoint, operator))):
         assert _refused(endpoint, operator)
-    plain = pytest.raises(BusError, match="is no router that encrypts")
+    plain = pytest.raises(BusError, match="is not an encrypted router")
     with closing(Router(free_endpoint)), plain:
         Bus(ROBOT, endpoint, 0.0, operator)
 

@@ -99,7 +99,7 @@ def test_a_progressive_jpeg_of_another_program_is_read() -> None:
     ids=["empty", "start", "start and end", "text", "cut in its header", "another format"],
 )
 def test_data_is_refused_when_it_is_no_jpeg(data: bytes) -> None:
-    with pytest.raises(ValueError, match=r"^not a JPEG image"):
+    with pytest.raises(ValueError, match=r"^invalid JPEG image"):
         decode_jpeg(data)
 
 
