@@ -229,7 +229,7 @@ listens() { docker compose run --rm --no-deps -T demo env "$@" smal topic hz --s
 check "a client with a certificate can subscribe" "" sh -c "$(declare -f listens); listens >/dev/null 2>&1"
 message=$(listens -u SMAL_TLS_CA -u SMAL_TLS_CERT -u SMAL_TLS_KEY SMAL_ROUTER=tcp/router:7447 2>&1) && status=0 || status=$?
 check "a client without a certificate is rejected in one line" "exit status $status" \
-  test "$status" != 0 -a "$(grep -c 'takes nobody in without a certificate' <<<"$message")" = 1
+  test "$status" != 0 -a "$(grep -c 'requires a certificate' <<<"$message")" = 1
 seen=$(docker compose exec -T policy ls /run/secrets | xargs)
 check "a container sees only its own key" "$seen" test "$seen" = "ca.pem cert.pem key.pem"
 timed docker compose stop

@@ -1,1 +1,1 @@
-"""What crosses the wire, messages by what they are about: read ``base``, any message, then ``codec`` and ``topics``."""
+"""Messages on the wire. Read ``base`` and any message first, then ``codec`` and ``topics``."""

@@ -1,4 +1,4 @@
-"""What the policy decided."""
+"""Decisions of the policy."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -11,7 +11,7 @@ Metres = Annotated[float, Field(ge=-100, le=100)]
 
 
 class Action(Message):
-    """One decision: the atom movements that follow, one a frame, until the next decision replaces them."""
+    """Decision: atom movements, one per frame, until the next decision replaces them."""
 
     topic: ClassVar[str] = "action"
 
@@ -27,19 +27,21 @@ class Action(Message):
         "search",
         "blind",
     ]
-    """follow: along the taught way; action: the policy's, of the paper's scheme; goal: the robot says that it has
-    arrived, and found its goal or that it is not here; search: it has arrived, and turns to see what is sought;
-    dead_end: nothing is known to follow, and it stops, as for stop: the state is unknown, of the paper's scheme;
-    look_around: turning on the spot, since it is not known where the robot is; guess: driving all the same, since that
-    has not helped; blocked: it stops and waits, since something is in its way and nothing leads round; blind: it stops,
-    because no view has spoken for its place for too long, or its camera shows nothing."""
+    """follow: along the taught way. action: the action of the paper's scheme. goal: the robot has
+    arrived and reports that it found its goal, or that the goal is not here. search: it has
+    arrived and turns to find the target. dead_end: no taught way continues, and it stops. stop:
+    the state is unknown (paper's scheme). look_around: it turns on the spot because its place is
+    unknown. guess: it drives although its place is unknown, since turning did not help. blocked:
+    it waits for an obstacle without a way round. blind: it stops because no view has confirmed
+    its place for too long, or because its camera shows no texture.
+    """
     state: Annotated[int | None, Field(ge=0, le=1_000_000)] = None
-    """The keyframe, or in the paper's scheme the state, where the robot is; none where it is lost."""
+    """Keyframe of the robot, or its state in the paper's scheme; None if the robot is lost."""
     atoms: Annotated[tuple[Atom, ...], Field(max_length=1000)]
-    """The planned atom movements, one a frame."""
+    """Planned atom movements, one per frame."""
     arrived: bool = False
-    """Whether the robot takes itself to be where it was taught that the goal is; of the filter."""
+    """Whether the robot's estimated position is at the goal (filter only)."""
     says: Said | None = None
-    """What it says of the goal, having nothing left to do: found, or not here; of the filter."""
+    """Result that the robot reports at the end of its run: found, or not here (filter only)."""
     obstacles: Annotated[tuple[tuple[Metres, Metres], ...], Field(max_length=100)] = ()
-    """Where something stands about the robot: metres ahead of it and to its left, some of the places."""
+    """Positions of some obstacles around the robot: metres ahead and to the left."""

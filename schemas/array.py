@@ -11,7 +11,7 @@ from schemas.base import Strict
 
 
 class Float32Array(Strict):
-    """A finite float32 array in C order."""
+    """Finite float32 array in C order."""
 
     dtype: Literal["float32"] = "float32"
     """Element type, little endian."""
@@ -20,7 +20,7 @@ class Float32Array(Strict):
     ]
     """Lengths of the axes, outermost first."""
     data: bytes
-    """The elements, row by row."""
+    """Elements, row by row."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -1,4 +1,4 @@
-"""The fields that every message carries, and the rules that every message obeys."""
+"""Fields and rules that all messages share."""
 
 from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self, get_args
 
@@ -7,22 +7,25 @@ from pydantic import BaseModel, ConfigDict, Field
 ROBOT_ID_PATTERN: Final = r"^[a-z0-9][a-z0-9_-]{0,31}$"
 EPISODE_ID_PATTERN: Final = r"^[a-z0-9][a-z0-9_-]{0,63}$"
 MAX_TICK: Final = 10_000_000
-NO_EPISODE: Final = (
-    "none"  # In the place of an episode, where there is none; every episode has a longer name.
-)
+# Placeholder for an episode; every real episode has a longer name.
+NO_EPISODE: Final = "none"
 
 RobotId = Annotated[
     str,
-    Field(pattern=ROBOT_ID_PATTERN, description="Which robot: lower case, at most 32 characters."),
+    Field(pattern=ROBOT_ID_PATTERN, description="Robot id: lower case, at most 32 characters."),
 ]
 EpisodeId = Annotated[
-    str, Field(pattern=EPISODE_ID_PATTERN, description="Which episode: one reset to one end.")
+    str,
+    Field(
+        pattern=EPISODE_ID_PATTERN,
+        description="Episode id; an episode lasts from one reset to one end.",
+    ),
 ]
 SessionId = Annotated[
     str,
     Field(
         pattern=r"^[0-9a-z_-]{0,32}$",
-        description="Which process sends: drawn anew at its start; empty if unsaid.",
+        description="Random id of the sending process, new at each start; empty if not given.",
     ),
 ]
 Tick = Annotated[
@@ -33,14 +36,16 @@ Source = Literal["emergency_stop", "teleop", "expert", "policy"]
 ATOMS: Final[tuple[Atom, ...]] = get_args(Atom)
 
 
-STILL: Final = 0.1  # Below this share a robot stands: joysticks' dead zone.
-TURNING: Final = 0.5  # From this share of its turn rate on it turns: the nearer of all and nothing.
+# Dead zone of joysticks: a robot below this share of its speed stands.
+STILL: Final = 0.1
+# Share of the turn rate from which an atom is a turn: half, the threshold of rounding.
+TURNING: Final = 0.5
 
 
 class Velocity(NamedTuple):
-    """Linear, ahead, and angular, to the left: shares of a robot's own speed and turn rate, -1 to 1.
+    """Forward and left-turning velocity as shares of the robot's speed and turn rate, -1 to 1.
 
-    Who drives by keys, or by a map of the robot's own ways, need not know how fast it is, and none can ask too much.
+    Shares need no knowledge of the robot's speed, and they cannot exceed it.
     """
 
     linear: float
@@ -48,8 +53,8 @@ class Velocity(NamedTuple):
 
     @property
     def keys(self) -> list[Atom]:
-        """The keys that it is made of: one goes so far as what any of them may not."""
-        # Hardly a bend, in driving: all that sees straight ahead sees it.
+        """The keys that the velocity consists of; it is allowed if all its keys are."""
+        # A slight bend stays within the view straight ahead.
         angular = 0.0 if self.linear and abs(self.angular) < STILL else self.angular
         return [
             atom
@@ -67,17 +72,16 @@ class Velocity(NamedTuple):
 
 
 STANDING: Final = Velocity(0.0, 0.0)
-#: Keys are five velocities.
 KEYS: Final[dict[Atom, Velocity]] = {
     "forward": Velocity(1.0, 0.0), "backward": Velocity(-1.0, 0.0), "left": Velocity(0.0, 1.0),
     "right": Velocity(0.0, -1.0), "stop": STANDING,
 }  # fmt: skip
-#: The sources of commands; `services.robot.gate` says which one the robot obeys.
+#: Sources of commands; see `services.robot.gate` for their precedence.
 SOURCES: Final[tuple[Source, ...]] = get_args(Source)
 
 
 class Strict(BaseModel):
-    """A frozen model that refuses unknown fields, implicit conversions, NaN and infinity."""
+    """Frozen model that refuses unknown fields, implicit conversions, NaN and infinity."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -91,26 +95,28 @@ class Strict(BaseModel):
 
 
 class Message(Strict):
-    """A message on a topic: who, when, and the observation that it descends from."""
+    """Message on a topic, with its robot, its time and the observation that it descends from."""
 
     #: Version of this message's fields; a receiver rejects all others.
     version: ClassVar[int] = 1
-    max_bytes: ClassVar[int] = 64 * 1024  # Most bytes that this message may take on the wire.
-    max_containers: ClassVar[int] = (
-        128  # Most maps and arrays in it; a state has 66 (one a candidate).
-    )
-    #: Name of the topic, after ``smal/<robot>/``; a class with several topics overrides ``topic_name``.
+    max_bytes: ClassVar[int] = 64 * 1024  # Maximum size on the wire, bytes.
+    # Maximum number of maps and arrays in it.
+    max_containers: ClassVar[int] = 128
+    #: Name of the topic, after ``smal/<robot>/``; a class with several topics overrides
+    #: ``topic_name``.
     topic: ClassVar[str]
 
     robot: RobotId
     episode: EpisodeId
     tick: Tick
     stamp_ns: Annotated[int, Field(ge=0, lt=2**63)]
-    """Capture time of the observation that this message descends from, nanoseconds since 1970 (lockstep: simulated)."""
+    """Capture time of the observation that this message descends from, nanoseconds since 1970
+    (simulated in lockstep).
+    """
 
     @classmethod
     def schema_name(cls) -> str:
-        """Name and version as they stand in the encoding, for example ``smal.State/1``."""
+        """Name and version, as in the encoding: ``smal.State/1``."""
         return f"smal.{cls.__name__}/{cls.version}"
 
     @property
@@ -120,7 +126,7 @@ class Message(Strict):
 
     @classmethod
     def after(cls, cause: "Message", **fields: object) -> Self:
-        """Make a message that descends from ``cause``: same robot, episode, tick and stamp."""
+        """Create a message that descends from ``cause``: same robot, episode, tick and stamp."""
         header = {
             "robot": cause.robot,
             "episode": cause.episode,

@@ -1,4 +1,4 @@
-"""Messages to bytes and back, with every limit checked before memory is spent."""
+"""Encode messages as bytes and decode them, with every limit checked before memory is spent."""
 
 from functools import cache
 from typing import Final, TypeVar
@@ -14,36 +14,36 @@ M = TypeVar("M", bound=Message)
 
 
 class DecodeError(ValueError):
-    """A payload that is not the message it should be; the text says why in one line."""
+    """Payload that is not the expected message; the text gives the reason in one line."""
 
 
 @cache
 def encoding_of(message: type[Message]) -> str:
-    """Return the encoding that goes with a message class, for example ``application/vnd.msgpack;smal.State/1``."""
+    """Return the encoding of a message class: ``application/vnd.msgpack;smal.State/1``."""
     return ENCODING_PREFIX + message.schema_name()
 
 
 def misfit(message: type[Message], encoding: str, size: int) -> str | None:
-    """Say why a payload of an encoding and a size cannot be a message of a class; None where it may be."""
+    """Return why a payload of this encoding and size is not the message, or None."""
     if encoding != encoding_of(message):
         return f"expected {encoding_of(message)}, got {encoding[:80]!r}"
     if size > message.max_bytes:
-        return f"{message.schema_name()}: {size} bytes, at most {message.max_bytes} allowed"
+        return f"{message.schema_name()}: too large ({size} bytes > maximum {message.max_bytes})"
     return None
 
 
 def encode(message: Message) -> bytes:
-    """Pack a message as msgpack: a map from field name to value; the same message always gives the same bytes."""
+    """Encode a message as msgpack, a map from field name to value. The bytes are deterministic."""
     packed: bytes = msgpack.packb(message.model_dump(), use_bin_type=True)
     return packed
 
 
 def decode(cls: type[M], payload: bytes, encoding: str) -> M:
-    """Unpack and validate one message of a class; DecodeError, and nothing else, for any payload that is none."""
+    """Decode and validate a message; DecodeError is the only exception for a bad payload."""
     if (why := misfit(cls, encoding, len(payload))) is not None:
         raise DecodeError(why)
     try:
-        # Few and small containers: four megabytes of empty maps would otherwise cost 1 s and 280 MB.
+        # Without a limit, four megabytes of empty maps cost 1 s and 280 MB.
         count = _ContainerCount(cls.max_containers)
         fields = msgpack.unpackb(
             payload,
@@ -67,11 +67,11 @@ def decode(cls: type[M], payload: bytes, encoding: str) -> M:
 
 
 def describe(error: ValidationError) -> str:
-    """Say in one line what is wrong with the first bad field, what it may be, and how many others there are."""
+    """Describe the first invalid field and its valid values in one line, and count the others."""
     first, *others = error.errors(include_url=False, include_context=False)
     where = ".".join(str(part) for part in first["loc"]) or "message"
     more = f" (and {len(others)} more)" if others else ""
-    # Which of Python's errors a rule of ours raises means nothing to who reads this.
+    # The prefix names one of Python's error classes, which means little to a user.
     what = first["msg"].removeprefix("Value error, ")
     given = first["input"]
     subject, should, allowed = what.partition(" should ")
@@ -84,7 +84,7 @@ def describe(error: ValidationError) -> str:
 
 
 class _ContainerCount:
-    """Called by msgpack with every finished map and array; ends the unpacking when there are too many."""
+    """Hook for every finished map and array in msgpack, which limits their number."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -98,5 +98,5 @@ class _ContainerCount:
 
 
 def printable(text: str, most: int = 200) -> str:
-    """Return the beginning of a stranger's text, with nothing in it that moves a log or a terminal."""
+    """Return the beginning of an untrusted text, without characters that control a terminal."""
     return "".join(c if c.isprintable() else "?" for c in text[:most])

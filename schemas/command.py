@@ -1,4 +1,4 @@
-"""Commands to the actuator, and what the actuator did."""
+"""Commands to the actuator, and the motion that results."""
 
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -6,8 +6,8 @@ from pydantic import Field, model_validator
 
 from schemas.base import ATOMS, KEYS, MAX_TICK, Atom, Message, SessionId, Source, Velocity
 
-#: Why the robot stands until it is armed: it was started and is not armed yet; an emergency stop; the operator fell
-#: silent; the odometry contradicts the commands; or what drives its wheels failed.
+#: Why the robot stands until it is armed: not armed since its start; an emergency stop; a lost
+#: operator; odometry that contradicts the commands; or a fault of the wheel driver.
 StopCause = Literal["not_armed", "emergency_stop", "operator_lost", "wheels", "fault"]
 
 
@@ -15,45 +15,48 @@ Share = Annotated[float, Field(ge=-1, le=1)]
 
 
 class _Moving(Message):
-    """How the robot moves."""
+    """Velocity as shares of the robot's speed and turn rate."""
 
     linear: Share
-    """Fraction of the robot's nominal speed that it goes ahead at; negative back."""
+    """Share of the robot's nominal speed, forward; negative values go backward."""
     angular: Share
-    """Fraction of its nominal turn rate that it turns to the left at; negative to the right."""
+    """Share of its nominal turn rate, to the left; negative values turn right."""
 
     @property
     def velocity(self) -> Velocity:
-        """Both."""
+        """Both shares."""
         return Velocity(self.linear, self.angular)
 
 
 class Command(_Moving):
-    """A velocity asked of the robot by one source."""
+    """Velocity that one source commands."""
 
     topic: ClassVar[str] = "command"
     max_bytes: ClassVar[int] = 1024
 
     source: Source
-    """Who asks; also the last part of the key."""
+    """Source of the command; also the last part of the key."""
     session: SessionId = ""
-    """The process that asks; while one is heard the robot obeys no other of the same source."""
+    """Sending process; while it is active, the robot refuses other processes of the same source."""
     sequence: Annotated[int, Field(ge=0, le=1_000_000)] = 0
-    """Order of the commands that one source sends for one tick, from 0."""
+    """Order of the commands that one source sends within a tick, from 0."""
     insists: bool = False
-    """Whether a person has seen that the robot stands before something, and has it go on, slowly; of others nothing."""
+    """Whether a person has seen the obstacle and lets the robot continue slowly; ignored for other
+    sources.
+    """
 
     @model_validator(mode="before")
     @classmethod
     def _of_key(cls, fields: Any) -> Any:  # noqa: ANN401 - it may be anything
-        """Accept a key, ``atom`` at a fraction ``speed``, in place of a velocity."""
+        """Accept a key, ``atom`` at a share ``speed``, in place of a velocity."""
         if not isinstance(fields, dict) or "atom" not in fields:
             return fields
         atom = fields["atom"]
         speed = fields.get("speed", 1.0)
         if atom not in ATOMS or not isinstance(speed, int | float):
             raise ValueError(
-                f"a key is one of {', '.join(ATOMS)} and a number, got {atom!r:.20} and {speed!r:.20}"
+                f"invalid key: atom must be one of {', '.join(ATOMS)} and speed a number, "
+                f"got {atom!r:.20} and {speed!r:.20}"
             )
         key = KEYS[atom]
         rest = {name: value for name, value in fields.items() if name not in ("atom", "speed")}
@@ -71,17 +74,17 @@ class Command(_Moving):
 
 
 class CommandApplied(_Moving):
-    """What the actuator does from this tick on; the heartbeat of the robot."""
+    """Motion of the actuator from this tick on; also the robot's heartbeat."""
 
     topic: ClassVar[str] = "command/applied"
 
     sequence: Annotated[int, Field(ge=0, le=1_000_000)] = 0
-    """Order within the tick, from 0; the last of a tick is what moved the robot on to the next frame."""
+    """Order within the tick, from 0; the last message moved the robot to the next frame."""
 
     atom: Atom
-    """The nearest of the five keys, for people and for the paper's scheme."""
+    """The nearest of the five keys, for display and for the paper's scheme."""
     source: Source | None
-    """Whose command it is; none when the robot stands for want of one."""
+    """Source of the obeyed command; None if the robot stands without a command."""
     reason: Literal[
         "command",
         "obstacle",
@@ -93,22 +96,28 @@ class CommandApplied(_Moving):
         "deaf",
         "emergency_stop",
     ]
-    """Why: a fresh command; a command that is carried out slower, or not, because something is in the way or the ground
-    is not known to be free, or because the depth camera shows no ground, or shows it too late (`no_depth`); a command
-    that is carried out there slowly, because a person insists; a command that turns more sharply than the robot can; no
-    fresh command from the driver, or from the person who has taken over; no echo by a link on which stops or commands
-    come (`deaf`); or a latched stop."""
+    """command: a fresh command. obstacle: the command is slowed or stopped because of an obstacle,
+    or because the ground is not known to be free. no_depth: the depth camera shows no ground, or
+    too late. insisted: a person insists, and the robot continues slowly. radius: the command
+    turns more sharply than the robot can. silence: no fresh command of the driver. taken_over:
+    no fresh command of the person who took over. deaf: no echo by a link that carries stops or
+    commands. emergency_stop: a latched stop.
+    """
     emergency_stop: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    """Number of the latched stop, which its release has to name; 0 where none is."""
+    """Number of the latched stop, which its release must name; 0 without a stop."""
     stop_cause: StopCause | None = None
-    """What latched it."""
+    """Cause of the latched stop."""
     answered_tick: Annotated[int | None, Field(ge=0, le=MAX_TICK)] = None
-    """The frame that the obeyed command answered, at or before this tick; none without a command of this episode."""
+    """Frame that the obeyed command answers, at or before this tick; None without a command of this
+    episode.
+    """
     latency_ns: Annotated[int | None, Field(ge=0, lt=2**63)] = None
-    """From the readiness of frame ``answered_tick`` (rendered, about to be sent) to the acceptance of the obeyed
-    command, on the actuator's clock."""
+    """Latency from the readiness of frame ``answered_tick`` (rendered, about to be sent) to the
+    acceptance of the obeyed command, by the actuator's clock.
+    """
     delay_ns: Annotated[int | None, Field(ge=0, lt=2**63)] = None
-    """From the capture of frame ``answered_tick`` to the moment when the obeyed command began to move the robot, on the
-    clock of its world: 0 in lockstep."""
+    """Delay from the capture of frame ``answered_tick`` to the motion by the obeyed command, by the
+    clock of its world: 0 in lockstep.
+    """
     refused: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    """Commands refused so far in this episode."""
+    """Number of commands refused in this episode."""

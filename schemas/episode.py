@@ -1,4 +1,4 @@
-"""Beginnings and ends of episodes."""
+"""Start and end of episodes."""
 
 import re
 from typing import Annotated, ClassVar, Final, Literal, Self
@@ -10,8 +10,9 @@ from schemas.base import Message, Source
 Purpose = Literal["drive", "recovery", "run"]
 EventName = Literal["started", "victim_found", "collision", "timed_out", "ended"]
 Outcome = Literal["found", "false_goal", "missed", "not_here", "collision", "timeout", "aborted"]
-Said = Literal["found", "not_here"]  # What a robot says that ends its run.
-#: How the victim of a simulated run lies: as in the world; nowhere; a little elsewhere; something else in its place.
+Said = Literal["found", "not_here"]  # Results that a robot can report to end its run.
+#: Variant of the victim in a simulated run: as in the world; absent; moved a little; replaced by
+#: another object.
 Victim = Literal["there", "absent", "moved", "decoy"]
 Judge = Literal["task", "operator"]
 
@@ -22,69 +23,74 @@ _GOAL: Final = re.compile(r"\w[\w .-]{0,63}")
 def _names_a_place(goal: str) -> str:
     if _GOAL.fullmatch(goal) is None:
         raise ValueError(
-            "a name has 1 to 64 letters, digits, spaces, . - or _, and begins with a letter, a digit or _"
+            "invalid name: use 1 to 64 letters, digits, spaces, . - or _, "
+            "beginning with a letter, a digit or _"
         )
     return goal
 
 
-#: Name of a place that drives lead to: letters, digits, and what may stand between them.
 GoalName = Annotated[
     str, AfterValidator(_names_a_place), Field(json_schema_extra={"pattern": f"^{_GOAL.pattern}$"})
 ]
 
 
-_LEAST: Final = 0.05  # Of the picture's width and height: a box of fewer pixels tells nothing.
+# Minimum share of the picture's width and height: smaller boxes have too few pixels to learn from.
+_LEAST: Final = 0.05
 
 
 def _has_an_area(box: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
     left, top, right, bottom = box
     if right - left < _LEAST or bottom - top < _LEAST:
         raise ValueError(
-            "a box is left, top, right and bottom, and has at least a twentieth of the picture each way"
+            "invalid box: give left, top, right and bottom, at least 0.05 of the picture each way"
         )
     return box
 
 
 _Share = Annotated[float, Field(ge=0, le=1)]
-#: Where something is in a picture: left, top, right and bottom, shares of its width and height.
+#: Box in a picture: left, top, right and bottom as shares of its width and height.
 Box = Annotated[tuple[_Share, _Share, _Share, _Share], AfterValidator(_has_an_area)]
 
 
 def in_words(outcome: Outcome | None, right: bool | None) -> str:
-    """Return how an episode ended, and whether what was said is so where somebody knows, for people."""
+    """Return the outcome in words, with whether the robot's report is right if that is known."""
     return (outcome or "").replace("_", " ") + {True: ", rightly", False: ", wrongly", None: ""}[
         right
     ]
 
 
 class Episode(Message):
-    """Something that happened to the episode as a whole; ``started`` is its first message, ``ended`` its last."""
+    """Event of the whole episode; ``started`` is its first message, ``ended`` its last."""
 
     topic: ClassVar[str] = "episode"
 
     event: EventName
-    """What happened."""
+    """Event."""
     purpose: Purpose
-    """drive: a whole demonstration; recovery: a short one that begins off the route; run: the robot by itself."""
+    """drive: a whole demonstration. recovery: a short demonstration that begins off the route. run:
+    an autonomous run.
+    """
     driver: Source
-    """Who drives; the gate refuses other drivers."""
+    """Driver of the episode; the gate refuses other drivers."""
     world: Annotated[str, Field(min_length=1, max_length=255)]
-    """Name of the world; of a real robot's body where there is none."""
+    """Name of the world; for a real robot without a world, name of its body."""
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     """Seed of start pose and actuation noise."""
     goal: GoalName = "victim"
-    """Where a drive leads, by the name that it has for those who send the robot there."""
+    """Name of the place that a drive leads to, by which the robot can be sent there."""
     outcome: Outcome | None = None
-    """How it ended; given with ``ended`` only. found: the goal was reached in the last frame (tick of this message),
-    and where a run ends by the robot's word it said so. false_goal: it said so, and was wrong. missed: it reached the
-    goal, and said nothing until its time was out. not_here: it said that the goal is not there. aborted: somebody ended
-    it, or nobody was there to judge what it said."""
+    """Outcome, given with ``ended`` only. found: the goal was reached in the last frame (tick of
+    this message), and, if the run ends by report, the robot reported it. false_goal: the robot
+    reported a goal wrongly. missed: it reached the goal and timed out without a report.
+    not_here: it reported that the goal is not there. aborted: the episode was ended early, or no
+    judge was present for the report.
+    """
     judge: Judge | None = None
-    """Who says so of ``found``: the task (in simulation: near the victim, and the victim in view), or the operator."""
+    """Judge of ``found``: the task (simulation: the victim is near and in view) or the operator."""
     right: bool | None = None
-    """Whether ``not_here`` is so; None where nobody knows."""
+    """Whether ``not_here`` is right; None if unknown."""
     box: Box | None = None
-    """Where the goal is in the last frame, where the operator who found it has drawn that."""
+    """Box of the goal in the last frame, if the operator has drawn it."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:

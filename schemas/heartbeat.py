@@ -1,4 +1,4 @@
-"""That the robot, and who is responsible for what it does, are still there."""
+"""Heartbeats of the robot and of its operator."""
 
 from typing import Annotated, ClassVar
 
@@ -9,26 +9,28 @@ from schemas.command import StopCause
 
 
 class Heartbeat(Message):
-    """Sign of life of whoever is responsible for what the robot does."""
+    """Heartbeat of an operator, or of a program that drives the robot."""
 
     topic: ClassVar[str] = "heartbeat"
     max_bytes: ClassVar[int] = 1024
 
     session: SessionId
-    """The process that sends."""
+    """Sending process."""
     name: Annotated[str, Field(pattern=r"^[a-z0-9_-]{1,32}$")]
-    """What it is, for others who have to wait for it: ``teleop``, ``console``."""
+    """Kind of the sender, for display: ``teleop``, ``console``."""
     sequence: Annotated[int, Field(ge=0, lt=2**63)]
-    """Order of what one process sends, from 0."""
+    """Order of the messages of one process, from 0."""
     answers: Annotated[int | None, Field(ge=1, lt=2**63)] = None
-    """Number of the robot's pulse that an operator answers, so that it tells of that moment and of no later one; when
-    the robot has no answer to its recent ones it stands. None for a program, which is not missed."""
+    """Number of the robot's pulse that an operator answers. It dates the heartbeat: without an
+    answer to its recent pulses the robot stops. None for a program, whose absence does not stop
+    the robot.
+    """
     present: bool = True
-    """False says good-bye; whoever leaves so is not missed."""
+    """False announces that the sender leaves; its absence then does not stop the robot."""
 
 
 class Pulse(Message):
-    """Sign of life of the robot, which its operator answers; between two episodes that of the message is ``none``."""
+    """Heartbeat of the robot, which its operator answers; ``none`` is the episode in between."""
 
     topic: ClassVar[str] = "pulse"
     max_bytes: ClassVar[int] = 1024
@@ -36,8 +38,8 @@ class Pulse(Message):
     session: SessionId
     """The robot's process."""
     number: Annotated[int, Field(ge=1, lt=2**63)]
-    """Which one, for who answers it; each is one more than the last, from a number drawn at the start."""
+    """Number of the pulse, which answers repeat; it counts up from a random start."""
     emergency_stop: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    """Number of the latched stop, which its release has to name; 0 where none is."""
+    """Number of the latched stop, which its release must name; 0 without a stop."""
     stop_cause: StopCause | None = None
-    """What latched it."""
+    """Cause of the latched stop."""

@@ -1,4 +1,4 @@
-"""Where the robot is, by whatever measures it, and how it moves."""
+"""Poses and motion of the robot, by source of measurement."""
 
 import itertools
 from typing import Annotated, ClassVar, Final, Self
@@ -9,7 +9,7 @@ from schemas.base import Message, Strict
 
 
 class TruePose(Message):
-    """True planar pose of the robot in the world (from the simulator; never seen by the method)."""
+    """Ground truth: planar pose of the robot in the world (unused by the method)."""
 
     topic: ClassVar[str] = "pose/truth"
 
@@ -22,12 +22,12 @@ class TruePose(Message):
 
 
 class TrackedPose(Message):
-    """Planar pose of the robot as measured from the overhead image alone, or the news that its tag is not seen."""
+    """Planar pose of the robot, measured from the overhead image alone by its tag."""
 
     topic: ClassVar[str] = "pose/tracked"
 
     visible: bool
-    """Whether the tag is in the image; without it the pose is unknown."""
+    """Whether the tag is in the image; otherwise the pose is unknown."""
     x_m: Annotated[float, Field(ge=-1e5, le=1e5)] | None = None
     """East of the world's origin, metres; None while the tag is lost."""
     y_m: Annotated[float, Field(ge=-1e5, le=1e5)] | None = None
@@ -35,7 +35,7 @@ class TrackedPose(Message):
     heading_rad: Annotated[float, Field(ge=-3.2, le=3.2)] | None = None
     """Counter-clockwise from east, radians in (-pi, pi]; None while the tag is lost."""
     error_px: Annotated[float, Field(ge=0, le=1e4)] | None = None
-    """Root mean square distance of the tag's corners from where this pose puts them, pixels; None while lost."""
+    """Root mean square reprojection error of the tag's corners, pixels; None while it is lost."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -48,32 +48,32 @@ class TrackedPose(Message):
 
 
 class Odometry(Message):
-    """Planar pose by counting the wheels' turns since the start of the episode; drifts as wheels slip."""
+    """Planar pose by wheel odometry since the start of the episode; drifts as wheels slip."""
 
     topic: ClassVar[str] = "odometry"
 
     x_m: Annotated[float, Field(ge=-1e6, le=1e6)]
-    """Ahead of where the episode began, metres."""
+    """Ahead of the start of the episode, metres."""
     y_m: Annotated[float, Field(ge=-1e6, le=1e6)]
-    """To the left of where the episode began, metres."""
+    """To the left of the start of the episode, metres."""
     heading_rad: Annotated[float, Field(ge=-3.2, le=3.2)]
     """Counter-clockwise from the first heading, radians in (-pi, pi]."""
     speed_m_s: Annotated[float, Field(ge=-100, le=100)]
-    """Mean forward speed since the frame before."""
+    """Mean forward speed since the previous frame."""
     turn_rate_rad_s: Annotated[float, Field(ge=-100, le=100)]
-    """Mean turn rate since the frame before, counter-clockwise."""
+    """Mean turn rate since the previous frame, counter-clockwise."""
 
 
-MAX_SAMPLES: Final = 100  # So many are kept of what was felt while no frame was taken.
+MAX_SAMPLES: Final = 100
 Rate = Annotated[float, Field(ge=-100, le=100)]
 Acceleration = Annotated[float, Field(ge=-1000, le=1000)]
 
 
 class ImuSample(Strict):
-    """One reading: x ahead, y to the left, z up, as ROS has it."""
+    """Reading of the inertial unit: x ahead, y to the left, z up, as in ROS."""
 
     after_s: Annotated[float, Field(ge=0, le=1e6)]
-    """When, seconds of simulated time since the episode began."""
+    """Seconds of simulated time since the episode began."""
     angular_velocity_rad_s: tuple[Rate, Rate, Rate]
     """About x (roll), y (pitch) and z (yaw)."""
     acceleration_m_s2: tuple[Acceleration, Acceleration, Acceleration]
@@ -81,17 +81,17 @@ class ImuSample(Strict):
 
 
 class Imu(Message):
-    """Readings of the inertial unit since the frame before, oldest first."""
+    """Readings of the inertial unit since the previous frame, oldest first."""
 
     topic: ClassVar[str] = "imu"
     max_containers: ClassVar[int] = 2 + 3 * MAX_SAMPLES
 
     samples: Annotated[tuple[ImuSample, ...], Field(max_length=MAX_SAMPLES)]
-    """The readings; none with the first frame of an episode."""
+    """The readings; empty for the first frame of an episode."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         times = [sample.after_s for sample in self.samples]
         if any(later <= earlier for earlier, later in itertools.pairwise(times)):
-            raise ValueError("readings must be given in the order of time")
+            raise ValueError("samples must be in the order of time")
         return self

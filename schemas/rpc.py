@@ -1,4 +1,7 @@
-"""Requests and replies of the services' queryables ``rpc/<service>/<verb>``; JSON, so that curl reads them too."""
+"""Requests and replies of the queryables ``rpc/<service>/<verb>``.
+
+They are JSON, so that curl can read them.
+"""
 
 import re
 from typing import Annotated, Final, Literal
@@ -9,224 +12,230 @@ from schemas.base import MAX_TICK, EpisodeId, SessionId, Strict
 from schemas.episode import Box, GoalName, Purpose, Said, Victim
 
 Mode = Literal["lockstep", "realtime"]
-Start = Literal[
-    "start", "anywhere"
-]  # About the world's start, or anywhere beside the way from there to the victim.
-#: Knowing where it is by a filter over the map of views; or by the paper's Eq. 7 to 9, deciding every l frames.
+# About the world's start, or anywhere beside the way from there to the victim.
+Start = Literal["start", "anywhere"]
+#: Localisation by a filter over the map of views, or by the paper's Eq. 7 to 9 with a decision every
+#: l frames.
 Scheme = Literal["filter", "paper"]
-#: The sources that can drive; an emergency stop only ever makes the robot stand.
+#: Sources that can drive; an emergency stop only stops the robot.
 Driver = Literal["teleop", "expert", "policy"]
 
 
-#: Part of a path below the root of a service: it hides nothing (leading dot, and with it ``.`` and ``..``), separates
-#: nothing, and moves no log or terminal.
+#: Part of a path below the root of a service. It excludes hidden names (a leading dot, with it ``.``
+#: and ``..``), separators and control characters.
 _PART: Final = r"[^./\\\x00-\x1f\x7f-\x9f][^/\\\x00-\x1f\x7f-\x9f]*"
 _NAME: Final = re.compile(rf"{_PART}(/{_PART})*")
-_MAX_NAME: Final = 1023  # Most characters of it: at 4 bytes each, what Linux takes.
+_MAX_NAME: Final = 1023  # Maximum length in characters: at 4 bytes each, the limit of Linux.
 
 
 def _is_below(name: str) -> str:
     if name and _NAME.fullmatch(name) is None:
         raise ValueError(
-            "must be a path below the root of the service, relative, and no part may begin with a dot"
+            "must be a relative path below the root of the service; no part may begin with a dot"
         )
     return name
 
 
-#: A folder below the root of a service; empty for the root itself.
+#: Folder below the root of a service; empty for the root itself.
 FolderName = Annotated[str, Field(max_length=_MAX_NAME), AfterValidator(_is_below)]
-#: A file below the root of a service.
+#: File below the root of a service.
 FileName = Annotated[str, Field(min_length=1, max_length=_MAX_NAME), AfterValidator(_is_below)]
 
-EpisodeName = Annotated[
-    str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")
-]  # What a person calls an episode.
-#: Most bytes of a world's name: of a file's 255 some are for its ending, and for what it is called while it is written.
+# Name that a person gives to an episode.
+EpisodeName = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
+#: Maximum bytes of a world's name: a file name has 255, and its suffix and temporary name need some.
 _MAX_WORLD_NAME: Final = 200
 
 
 def _fits(name: str) -> str:
     if len(name.encode()) > _MAX_WORLD_NAME:
-        raise ValueError(f"must have at most {_MAX_WORLD_NAME} bytes")
+        raise ValueError(f"too large ({len(name.encode())} bytes > maximum {_MAX_WORLD_NAME})")
     return name
 
 
-#: Name of a world, or of a variation of its light and things.
+#: Name of a world, or of a variation of its light and objects.
 WorldName = Annotated[str, Field(pattern=r"^\w[\w ().-]{0,63}$"), AfterValidator(_fits)]
 
-MAX_TICKS: Final = 1_000_000  # Most frames of an episode: a day and more.
+# Maximum frames of an episode: more than a day.
+MAX_TICKS: Final = 1_000_000
 
 _Metres = Annotated[float, Field(ge=-1e5, le=1e5)]
-_Point = tuple[_Metres, _Metres]  # Where something is in the world, as a robot's pose is told.
+_Point = tuple[_Metres, _Metres]  # Position in the world, in the coordinates of the robot's pose.
 
 
 class Nothing(Strict):
-    """A request without arguments, or a reply that only says that the work is done."""
+    """Request without arguments, or reply without a result."""
 
 
 class Failure(Strict):
-    """A reply that says in one line why the request was not carried out."""
+    """Reply to a request that failed."""
 
-    error: str  # The reason.
+    error: str
 
 
 class Status(Strict):
-    """How a service is; the reply to every service's ``status``."""
+    """State of a service; the reply to every service's ``status``."""
 
-    service: str  # Name of the service.
-    state: Literal["starting", "ready", "stopping"]  # Whether it takes work.
-    pid: int  # Process number.
-    connected: bool  # Whether it has a router, which echoes by every lane.
-    silent: tuple[str, ...] = ()  # Lanes without a router, or by which the router does not echo.
-    uptime_s: float  # Seconds since it started.
-    idle_s: float  # Seconds since it last finished a piece of work.
-    busy_s: (
-        float  # Seconds that the piece of work at hand has taken so far; 0 while it waits for some.
-    )
-    oldest_s: float  # Seconds that the oldest message or request has waited for its turn.
-    waiting: dict[str, int]  # Messages and requests that wait for their turn, by topic.
-    received: dict[str, int]  # Messages taken, by topic.
-    published: dict[str, int]  # Messages sent, by topic.
-    dropped: dict[str, int]  # Messages replaced by newer ones before they were taken, by topic.
-    bad: dict[str, int]  # Messages and requests refused as malformed, by topic.
-    failed: int  # Requests and messages whose handling failed; each is in the log.
-    detail: dict[str, str | int | float | bool | None]  # What else the service tells of itself.
+    service: str
+    state: Literal["starting", "ready", "stopping"]  # Whether the service takes work.
+    pid: int
+    connected: bool  # Whether every lane has a router that echoes.
+    silent: tuple[str, ...] = ()  # Lanes without a router, or without its echo.
+    uptime_s: float  # Seconds since the start.
+    idle_s: float  # Seconds since the last piece of work was finished.
+    # Seconds that the current piece of work has taken; 0 while idle.
+    busy_s: float
+    oldest_s: float  # Age of the oldest waiting message or request, seconds.
+    waiting: dict[str, int]  # Number of waiting messages and requests, by topic.
+    received: dict[str, int]  # Number of messages received, by topic.
+    published: dict[str, int]  # Number of messages published, by topic.
+    # Number of messages replaced by newer messages before they were handled, by topic.
+    dropped: dict[str, int]
+    bad: dict[str, int]  # Number of malformed messages and requests, by topic.
+    failed: int  # Number of requests and messages whose handling failed; each is logged.
+    detail: dict[str, str | int | float | bool | None]  # Details of the service.
 
 
 class ArmRequest(Strict):
-    """Release a latched stop, so that the robot may be moved again (robot).
+    """Release a latched stop, so that the robot can be moved again (robot).
 
-    Nothing moves yet: where a driver drove before, it goes on when it is told to, by ``resume`` or a new episode.
+    The robot stays where it is. A driver continues only after ``resume`` or a new episode.
     """
 
-    #: Number of the stop, as status and ``command/applied`` tell it; refused when another one is latched meanwhile.
+    #: Number of the stop, from the status or ``command/applied``; refused if another stop was
+    #: latched since.
     stop: Annotated[int, Field(ge=1, lt=2**63)]
-    session: SessionId = ""  # Who asks; while an operator is heard, only theirs may.
+    session: SessionId = ""  # Caller; while an operator is active, only theirs is accepted.
 
 
 class ResetRequest(Strict):
-    """Begin an episode (robot); refused while a stop is latched, and while another session's episode runs."""
+    """Begin an episode (robot).
 
-    session: SessionId = ""  # Whose episode it will be.
-    #: What its id begins with, and so its recording's name; purpose and seed if not given.
+    The robot refuses while a stop is latched or another session's episode runs.
+    """
+
+    # Session that owns the episode.
+    session: SessionId = ""
+    #: Prefix of the episode's id, and thus of its recording; purpose and seed by default.
     name: EpisodeName | None = None
-    #: World to be in from now on, one of those that the status tells; the same if not given (simulated robots).
+    #: World from now on, listed in the status; unchanged by default (simulated robots).
     world: WorldName | None = None
-    #: Conditions there, one of those that the status tells; the same if not given (simulated robots).
+    #: Conditions in the world, listed in the status; unchanged by default (simulated robots).
     variation: WorldName | None = None
     seed: Annotated[int, Field(ge=0, lt=2**63)]  # Seed of start pose and actuation noise.
-    purpose: Purpose = "run"  # Which starts to draw from.
-    driver: Driver = "policy"  # Who drives.
-    #: Where a run begins; anywhere: up to 1.5 m beside the way (less indoors), turned by up to 40 degrees.
+    purpose: Purpose = "run"  # Set of starts to draw from.
+    driver: Driver = "policy"
+    #: Start of a run; anywhere: up to 1.5 m beside the way (less indoors), turned by up to 40
+    #: degrees.
     start: Start = "start"
-    #: Frame at which the robot is carried to another such place, without its wheels turning.
+    #: Frame at which the robot is kidnapped: moved to another such place while its wheels stand.
     kidnap_tick: Annotated[int | None, Field(ge=1, le=MAX_TICKS)] = None
-    victim: Victim = "there"  # How the victim lies (simulated robots); moved: up to 3 m from its place, less indoors.
-    #: Whether a run goes on until the robot says something; else it ends where the goal is reached.
+    # Variant of the victim (simulated robots); moved: up to 3 m from its place, less indoors.
+    victim: Victim = "there"
+    #: Whether a run continues until the robot reports a result; otherwise it ends at the goal.
     until_said: bool = False
-    #: How many things stand on and beside the way, which did not when it was taught (simulated robots).
+    #: Number of untaught obstacles on and beside the way (simulated robots).
     obstacles: Annotated[int, Field(ge=0, le=50)] = 0
-    people: Annotated[int, Field(ge=0, le=50)] = (
-        0  # How many people walk about the way (simulated robots).
-    )
-    blocked: bool = False  # Whether something closes the way (simulated robots).
-    goal: GoalName = "victim"  # Where the drive leads, for those who learn from it.
+    # Number of people who walk near the way (simulated robots).
+    people: Annotated[int, Field(ge=0, le=50)] = 0
+    blocked: bool = False  # Whether an obstacle closes the way (simulated robots).
+    goal: GoalName = "victim"  # Place that the drive leads to, for learning.
     mode: Mode = "lockstep"  # Whether time waits for commands.
-    #: Frames after which the episode times out; null where somebody ends it, as a person who drives does.
+    #: Timeout of the episode in frames; null if a person ends it.
     max_ticks: Annotated[int | None, Field(ge=1, le=MAX_TICKS)] = 3000
 
 
 class ResetReply(Strict):
     """The episode that began."""
 
-    episode: EpisodeId  # Its id.
-    world: str  # Name of the world; of a real robot's body where there is none.
-    speed_m_s: Annotated[float, Field(gt=0)]  # The robot's nominal speed.
-    car: bool = False  # Whether it cannot turn on the spot.
-    #: Way points from the start to the victim, metres, for the scripted expert; none where the way is not known.
+    episode: EpisodeId
+    world: str  # Name of the world; for a real robot without a world, name of its body.
+    speed_m_s: Annotated[float, Field(gt=0)]
+    car: bool = False  # Whether the robot cannot turn on the spot.
+    #: Way points from the start to the victim, metres, for the scripted expert; empty if unknown.
     route: tuple[tuple[float, float], ...] = ()
-    found_m: Annotated[float, Field(gt=0)] | None = (
-        None  # How near the victim counts as found, if it is seen.
-    )
-    #: Where the victim lies, metres; none where that is not known, or nowhere.
+    # Distance at which a visible victim counts as found.
+    found_m: Annotated[float, Field(gt=0)] | None = None
+    #: Position of the victim, metres; None if unknown or absent.
     victim: tuple[float, float] | None = None
-    #: Outlines of what stands on and beside the way anew, metres, where that is known.
+    #: Outlines of the untaught obstacles on and beside the way, metres, if known.
     things: Annotated[
         tuple[Annotated[tuple[_Point, ...], Field(max_length=100)], ...], Field(max_length=100)
     ] = ()
 
 
 class LookReply(Strict):
-    """What the robot's camera sees between two episodes."""
+    """View of the robot's camera between two episodes."""
 
-    #: A small JPEG; none while an episode runs, whose frames are told, and where the camera shows nothing.
+    #: Small JPEG; None while an episode publishes frames, and if the camera has no image.
     picture: bytes | None = None
 
 
 class CancelRequest(Strict):
-    """Begin no episode after all, while ``reset`` opens its world (robot); its caller is told who has cancelled."""
+    """Cancel the ``reset`` that is opening its world (robot); its caller receives the reason."""
 
-    session: SessionId = ""  # Who asks: who has asked for the episode, or the robot's operator.
+    # Caller: the session that requested the episode, or the robot's operator.
+    session: SessionId = ""
 
 
 class EndRequest(Strict):
     """End the running episode (robot)."""
 
-    episode: EpisodeId  # Which; refused when another one runs.
-    #: Whether the operator says that the goal is reached; otherwise the robot's task says whether it is.
+    # Episode to end; refused if another episode runs.
+    episode: EpisodeId
+    #: Whether the operator confirms that the goal is reached; otherwise the robot's task judges.
     found: bool = False
-    box: Box | None = (
-        None  # Where they see it in the last frame; of no account unless they have found it.
-    )
-    said: Said | None = (
-        None  # What the robot says, whom the task judges; None where it has said nothing.
-    )
-    session: SessionId = (
-        ""  # Who asks; while an operator is heard, only they say that something was found.
-    )
+    # Box of the goal in the last frame; ignored unless found.
+    box: Box | None = None
+    # Report of the robot, which the task judges; None without a report.
+    said: Said | None = None
+    # Caller; while an operator is active, only they can confirm that the goal is found.
+    session: SessionId = ""
 
 
 class ResumeRequest(Strict):
-    """Let the driver go on, from whom a person has taken over, or whom a stop has stopped (robot)."""
+    """Return control to the driver after a person took over or a stop was released (robot)."""
 
-    episode: EpisodeId  # Which; refused when another one has begun.
-    #: The newest frame that the person had heard of; refused when they have commanded since.
+    # Episode to continue; refused if another episode has begun.
+    episode: EpisodeId
+    #: Newest frame that the person had received; refused if they have commanded since.
     tick: Annotated[int, Field(ge=0, le=MAX_TICK)]
-    session: SessionId = ""  # Who asks; while an operator is heard, only theirs may.
+    session: SessionId = ""  # Caller; while an operator is active, only theirs is accepted.
 
 
 class LoadRequest(Strict):
     """Load a model (recognition, policy)."""
 
-    model: FileName  # The model file: its path below the service's root, without a part that begins with a dot.
-    #: For which scheme it must have been learned, which is the one that it is used by; any if not given.
+    # Path of the model file below the service's root, without a part that begins with a dot.
+    model: FileName
+    #: Scheme that the model must have been learned for; any by default.
     scheme: Scheme | None = None
-    goal: GoalName | None = (
-        None  # Where to go; may be left out where all that was learned from leads to one goal.
-    )
-    #: Frames from one decision to the next in the paper's scheme; the model's sequence length if not given.
+    # Goal of the run; optional if the model has a single goal.
+    goal: GoalName | None = None
+    #: Frames between two decisions in the paper's scheme; the model's sequence length by default.
     stride: Annotated[int | None, Field(ge=1, le=1000)] = None
 
 
 class LoadReply(Strict):
     """The model that was loaded."""
 
-    scheme: Scheme  # For which it was learned, and how the service works with it.
-    keyframes: int = 0  # Of its map of views; 0 in the paper's scheme.
-    states: int = 0  # Learned states; 0 but in the paper's scheme.
-    stride: int  # Frames from one decision to the next.
+    scheme: Scheme
+    keyframes: int = 0  # Size of its map of views; 0 in the paper's scheme.
+    states: int = 0  # Number of learned states; 0 except in the paper's scheme.
+    stride: int  # Frames between two decisions.
 
 
 class RecordRequest(Strict):
     """Record every episode from now on (recorder)."""
 
-    #: Folder for the recordings, one file an episode: its path below the recorder's root; empty for the root itself.
+    #: Folder of the recordings, one file per episode: path below the recorder's root, empty for the
+    #: root itself.
     folder: FolderName
 
 
 class RecordReply(Strict):
-    """What was recorded (recorder ``stop``, ``flush``)."""
+    """Finished recordings (recorder ``stop``, ``flush``)."""
 
-    #: Names of the finished recordings since ``start``, in the folder that it named; oldest first.
+    #: Names of the recordings finished since ``start``, in the folder that it named; oldest first.
     files: tuple[str, ...]
-    dropped: int  # Messages that could not be recorded.
+    dropped: int  # Number of messages that could not be recorded.

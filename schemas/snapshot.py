@@ -1,4 +1,4 @@
-"""What a service hands on with a robot, to the instance that serves it next."""
+"""State that a service passes to the next instance of a robot."""
 
 from typing import Annotated, Literal
 
@@ -12,18 +12,18 @@ Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class Snapshot(Message):
-    """What another instance of the service goes on from, should the robot become its own."""
+    """State that another instance of the service continues from when it takes over the robot."""
 
     service: Literal["recognition", "policy"]
-    """Which service."""
+    """Name of the service."""
     checksum: Annotated[str, Field(pattern=r"^[0-9a-f]{8,64}$")]
-    """Beginning of the checksum of the model in use; what belongs to another one is refused."""
+    """Beginning of the checksum of the model in use; snapshots of another model are refused."""
     model: LoadRequest | None = None
-    """By which call it was loaded; none where it is that of the settings."""
+    """Call that loaded the model; None for the model of the settings."""
     state: State | None = None
-    """Where the robot was believed to be at its last frame; of recognition."""
+    """Belief at the robot's last frame (recognition only)."""
     wheels: tuple[Number, Number, Number] | None = None
-    """The odometry of that frame: x and y in metres, heading in radians."""
+    """Odometry of that frame: x and y in metres, heading in radians."""
 
     @property
     def topic_name(self) -> str:

@@ -1,4 +1,4 @@
-"""The ways that recognition knows."""
+"""Keyframes of the loaded model."""
 
 from typing import Annotated, ClassVar, Self
 
@@ -7,11 +7,12 @@ from pydantic import Field, model_validator
 from schemas.array import Float32Array
 from schemas.base import Message
 
-_MOST_KEYFRAMES = 1_000_000  # Keyframes that a place may name, see `schemas.state.Place`.
+# Maximum number of keyframes, see `schemas.state.Place`.
+_MOST_KEYFRAMES = 1_000_000
 
 
 class TaughtMap(Message):
-    """Where the taught keyframes are, that a belief tells of: once an episode and model, with the first belief."""
+    """Poses of the taught keyframes, sent once per episode and model with the first belief."""
 
     topic: ClassVar[str] = "map"
     max_bytes: ClassVar[int] = 12 * _MOST_KEYFRAMES + 64 * 1024
@@ -19,14 +20,17 @@ class TaughtMap(Message):
     model: Annotated[str, Field(pattern=r"^[0-9a-f]{8,64}$")]
     """Beginning of the checksum of the model, as in its states."""
     keyframes: Float32Array
-    """Poses, shape (k, 3): x, y in metres (of a drive without odometry, in forward atoms) and heading in radians,
-    counter-clockwise from the x axis. The axes are those of the first drive, and of each that shares a place with it;
-    other drives have axes of their own."""
+    """Poses, shape (k, 3): x, y in metres (in forward atoms for a drive without odometry) and
+    heading in radians, counter-clockwise from the x axis. Drives that share places share the
+    axes of their first drive; other drives have their own axes.
+    """
     begins: Annotated[
         tuple[Annotated[int, Field(ge=0, le=_MOST_KEYFRAMES)], ...],
         Field(min_length=1, max_length=1000),
     ]
-    """Keyframes at which a drive begins, ascending, the first of them 0; of more drives than fit the rest is one."""
+    """First keyframe of each drive, ascending from 0. If there are too many drives, the last entry
+    covers the rest.
+    """
 
     @model_validator(mode="after")
     def _check(self) -> Self:

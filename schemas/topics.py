@@ -1,4 +1,7 @@
-"""The one table of topics, of which recorder, health, ``smal topic`` and README are made; services in ``table.py``."""
+"""Table of topics, the source of recorder, health, ``smal topic`` and README.
+
+For the services see `services.table`.
+"""
 
 import math
 import re
@@ -18,26 +21,28 @@ from schemas.state import State
 from schemas.taught_map import TaughtMap
 
 ROOT: Final = "smal"
-#: How long, at least, a sender keeps what is recorded, so that a recorder which was away gets it afterwards.
+#: Minimum time that a sender keeps recorded messages, so that a recorder can fetch them after an
+#: outage.
 KEPT_S: Final = 30.0
-#: What flows by one link waits for nothing that flows by another: no image stands before a command, and nothing at all
-#: before an emergency stop. Whatever is not ordinary is sent at once.
+#: Messages of one lane never wait for those of another: no image delays a command, and emergency
+#: stops have a lane of their own. Lanes other than "ordinary" send at once.
 Lane = Literal["ordinary", "urgent", "stop"]
 LANES: Final[tuple[Lane, ...]] = get_args(Lane)
 
 
 @dataclass(frozen=True)
 class Topic:
-    """One row of the table."""
+    """A topic: its message, its rate and how it travels."""
 
-    name: str  # The key after ``smal/<robot>/``.
+    # Key after ``smal/<robot>/``.
+    name: str
     message: type[Message]
     rate_hz: float | None  # Nominal rate while an episode runs; None for events.
-    queue: int  # Messages that a receiver keeps; the oldest gives way to the newest.
+    queue: int  # Length of a receiver's queue; the newest message replaces the oldest.
     recorded: bool  # Whether the recorder writes it.
-    lane: Lane = "ordinary"  # Which of a process's links it travels by.
+    lane: Lane = "ordinary"  # Link of a process that carries it.
     reliable: bool = False  # Whether the sender waits rather than drops when the network is full.
-    sent_by: Lane | None = None  # Link by which it leaves its sender; ``lane`` if not given.
+    sent_by: Lane | None = None  # Link by which it leaves its sender; ``lane`` by default.
 
     def key(self, robot: str) -> str:
         """Return the Zenoh key of this topic for one robot (or ``*`` for every robot)."""
@@ -50,7 +55,7 @@ class Topic:
 
     @property
     def kept(self) -> int:
-        """How many messages a sender keeps: half as many again as the nominal rate, or 10 Hz of events, asks for."""
+        """Number of messages that a sender keeps: 1.5 times the nominal rate (10 Hz for events)."""
         return math.ceil(1.5 * KEPT_S * (self.rate_hz or 10))
 
     @property
@@ -71,7 +76,7 @@ TRACKED: Final = Topic("pose/tracked", TrackedPose, 10, 8, True)
 OBSERVATION: Final = Topic("observation", Observation, 10, 8, False)
 STATE: Final = Topic("state", State, 10, 8, True)
 MAP: Final = Topic("map", TaughtMap, None, 8, True)
-#: By the service whose instances hand robots on by it; see `services.kit.group`.
+#: Snapshots by which instances of a service pass on robots; see `services.kit.group`.
 SNAPSHOTS: Final = {
     service: Topic(f"snapshot/{service}", Snapshot, 1, 1, False)
     for service in ("recognition", "policy")
@@ -89,11 +94,11 @@ COMMANDS: Final = {
     for source in SOURCES
 }
 APPLIED: Final = Topic("command/applied", CommandApplied, 10, 8, True, lane="urgent")
-#: At 20 Hz, so that two may be lost; see `services.robot.gate.OPERATOR_S`. Of several only the newest is answered.
+#: 20 Hz, so that two can be lost; see `services.robot.gate.OPERATOR_S`. Operators answer the newest.
 PULSE: Final = Topic("pulse", Pulse, 20, 1, False, lane="urgent")
-#: Of an operator as often, since each pulse is answered. It leaves its sender by the link of emergency stops, so that a
-#: robot misses an operator without a way to stop it. The robot receives it by another link than stops: a flood of
-#: heartbeats must not delay them.
+#: One heartbeat answers each pulse. It leaves its sender by the link of emergency stops: a robot
+#: must miss an operator who cannot stop it. The robot receives it by another link than stops, which
+#: a flood of heartbeats must not delay.
 HEARTBEAT: Final = Topic("heartbeat", Heartbeat, 20, 8, False, lane="urgent", sent_by="stop")
 EPISODE: Final = Topic("episode", Episode, None, 64, True, reliable=True)
 
@@ -109,14 +114,14 @@ TOPICS: Final[dict[str, Topic]] = {
 
 
 def check_robot_id(robot: str) -> str:
-    """Return a robot id unchanged, or raise ValueError that names it."""
+    """Return a valid robot id unchanged; raise ValueError otherwise."""
     if not re.fullmatch(ROBOT_ID_PATTERN, robot):
-        raise ValueError(f"robot id {robot!r} does not match {ROBOT_ID_PATTERN}")
+        raise ValueError(f"invalid robot id {robot!r}: must match {ROBOT_ID_PATTERN}")
     return robot
 
 
 def topic_of(key: str) -> Topic | None:
-    """Return the topic of a Zenoh key, or None where the key is no topic of ours."""
+    """Return the topic of a Zenoh key, or None for any other key."""
     root, _, rest = key.partition("/")
     robot, _, name = rest.partition("/")
     if root != ROOT or not re.fullmatch(ROBOT_ID_PATTERN, robot):
@@ -125,7 +130,7 @@ def topic_of(key: str) -> Topic | None:
 
 
 def key_of(message: Message) -> str:
-    """Return the Zenoh key that a message belongs on."""
+    """Return the Zenoh key of a message."""
     return TOPICS[message.topic_name].key(message.robot)
 
 
@@ -135,10 +140,10 @@ def rpc_key(robot: str, service: str, verb: str) -> str:
 
 
 def echo_key(role: str, process: str, sender: str, receiver: str) -> str:
-    """Return the Zenoh key by which a process of a role sends itself signs of life from one lane to another."""
+    """Return the Zenoh key of the echo that a process sends from one lane to another."""
     return f"{ROOT}/@echo/{role}/{process}/{sender}/{receiver}"
 
 
 def group_key(fleet: str, service: str) -> str:
-    """Return the Zenoh key below which the instances of a service are seen; no wildcard matches a part with ``@``."""
+    """Return the key prefix of a service's instances; wildcards do not match ``@`` parts."""
     return f"{ROOT}/{fleet}/@group/{service}"

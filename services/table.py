@@ -1,6 +1,6 @@
-"""The one table of services: ``smal up``, ``smal doctor``, ``smal topic`` and the drawn graph are derived from it.
+"""Table of services, the source of ``smal up``, ``smal doctor``, ``smal topic`` and the graph.
 
-A new service is a folder and a row here. What the rows say is checked where all services run (`tests/system`).
+A new service needs a folder and a row. `tests/system` checks the rows while all services run.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,28 +15,30 @@ from schemas.topics import COMMANDS, SNAPSHOTS, TOPICS, Topic
 
 @dataclass(frozen=True)
 class Service:
-    """One row of the table."""
+    """A service: its topics, its calls and how it is started."""
 
-    name: str  # Part of the keys of its queryables.
-    meaning: str  # What it does, in a few words.
+    # Part of the keys of its queryables.
+    name: str
+    meaning: str  # Purpose in a few words.
     takes: tuple[Topic, ...] = ()  # Topics that it may subscribe to.
     gives: tuple[Topic, ...] = ()  # Topics that it may publish.
-    fetches: tuple[Topic, ...] = ()  # Topics of which it may have sent what it has missed.
-    serves: tuple[str, ...] = ()  # Verbs that it answers beside ``status``.
-    calls: tuple[str, ...] = ()  # What it may call of others, ``<service>/<verb>``.
-    #: Target of the Dockerfile that it runs in; None for what is no process of its own in a stack.
+    fetches: tuple[Topic, ...] = ()  # Topics whose missed messages it may fetch.
+    serves: tuple[str, ...] = ()  # Verbs that it answers besides ``status``.
+    calls: tuple[str, ...] = ()  # Calls that it may make, as ``<service>/<verb>``.
+    #: Target of the Dockerfile that it runs in; None for a program outside of the stack.
     image: Literal["services", "recognition", "simulator"] | None = "services"
-    module: str = ""  # What ``python -m`` runs; ``services.<name>`` if not given.
-    grouped: bool = False  # Whether it may run any number of times, for any number of robots (`services.kit.group`).
-    role: str = ""  # Whose certificate it shows to the router; its own if not given.
+    module: str = ""  # Module for ``python -m``; ``services.<name>`` by default.
+    # Whether several instances can share the robots of a fleet (`services.kit.group`).
+    grouped: bool = False
+    role: str = ""  # Role of its certificate; its own name by default.
 
     @property
     def command(self) -> tuple[str, str]:
-        """Arguments of Python that run it."""
+        """Arguments of Python that run the service."""
         return "-m", self.module or f"services.{self.name}"
 
 
-#: The services by name; those with an image are started by ``smal up``, in this order.
+#: The services by name. ``smal up`` starts those with an image, in this order.
 SERVICES: Final = {
     service.name: service
     for service in (
@@ -57,7 +59,7 @@ SERVICES: Final = {
                 ),
             ),
             serves=("arm", "reset", "cancel", "resume", "end", "look"),
-            # Whether there is another robot of its id; so does the pulse tell that it takes.
+            # To detect another robot with the same id. The robot takes PULSE for the same reason.
             calls=("robot/status",),
             image="simulator",
             module="services.simulator",
@@ -116,7 +118,7 @@ SERVICES: Final = {
                 *(topics.TRACKED, topics.APPLIED, topics.PULSE, topics.EPISODE),
             ),
             (COMMANDS["teleop"], COMMANDS["emergency_stop"], topics.HEARTBEAT),
-            # It learns as well, as the smal command does.
+            # The console also learns, as the smal command does.
             image="simulator",
         ),
         Service(
@@ -139,32 +141,35 @@ SERVICES: Final = {
 }
 
 
-#: The services that work with a model, in the order in which one is loaded: what policy has prepared it takes with the
-#: first state that recognition finds by it.
+#: Services that work with a model, in the order of loading: policy must be ready for the first state
+#: of recognition.
 CHAIN: Final = ("policy", "recognition")
 
 
 def stack_services() -> tuple[str, ...]:
-    """Return the names of the services of a stack, in the order in which they start, the router first."""
+    """Return the names of the stack's services in their starting order, the router first."""
     return tuple(service.name for service in SERVICES.values() if service.image is not None)
 
 
 def givers(topic: Topic) -> tuple[str, ...]:
-    """Return who publishes a topic."""
+    """Return the names of the services that publish a topic."""
     return tuple(service.name for service in SERVICES.values() if topic in service.gives)
 
 
 def takers(topic: Topic) -> tuple[str, ...]:
-    """Return who subscribes to a topic."""
+    """Return the names of the services that subscribe to a topic."""
     return tuple(service.name for service in SERVICES.values() if topic in service.takes)
 
 
 def graph(
     there: Mapping[str, Sequence[str]] = MappingProxyType(dict.fromkeys(SERVICES, ())),
 ) -> str:
-    """Return services and topics as a Mermaid flowchart; dotted is the way to the recorder, which takes all.
+    """Draw services and topics as a Mermaid flowchart, with dotted arrows to the recorder.
 
-    Those that are ``there`` are drawn, each with further lines.
+    Parameters
+    ----------
+    there
+        Names of the drawn services, each with further lines of its label.
     """
     drawn = [one for one in SERVICES.values() if one.name in there and (one.takes or one.gives)]
     texts = {
@@ -182,21 +187,23 @@ def graph(
 
 @dataclass(frozen=True)
 class Role:
-    """What the holder of a certificate may do on a robot's bus, as of a service; all else is refused by the router."""
+    """Permissions of a certificate's holder on a bus; the router refuses everything else."""
 
-    name: str  # Common name of the certificate.
+    # Common name of the certificate.
+    name: str
     takes: tuple[Topic, ...]
     gives: tuple[Topic, ...]
     fetches: tuple[Topic, ...]
-    serves: tuple[str, ...]  # Queryables that it may be, ``<service>/<verb>``.
+    serves: tuple[str, ...]  # Queryables that the role may declare, as ``<service>/<verb>``.
     calls: tuple[str, ...]
-    #: Whether somebody holds it who also listens to key expressions, and not a service, which subscribes to topics.
+    #: Whether a person holds it, who also subscribes to key expressions. Services subscribe to
+    #: topics.
     person: bool = False
-    grouped: bool = False  # Whether it is seen by, and sees, who holds the same.
+    grouped: bool = False  # Whether holders of the same role see each other.
 
 
 def role_of(name: str) -> str:
-    """Return the role of a service, or of what is none: a person's command."""
+    """Return the role of a service; "operator" for a person's command."""
     service = SERVICES.get(name)
     return "operator" if service is None else service.role or name
 
@@ -207,9 +214,10 @@ def _role(one: Service) -> Role:
 
 
 def roles() -> dict[str, Role]:
-    """Return the roles by name: one for each service of a stack, and those of people.
+    """Return the roles by name: one for each service of a stack, and the roles of people.
 
-    An operator drives, and calls whatever is served; so does the console, for whoever is at its page. A watcher looks.
+    An operator drives and may call every service. The console has the same rights, on behalf of its
+    users. A watcher subscribes, and calls ``status``.
     """
     named = {one.name: _role(one) for one in SERVICES.values() if one.image is not None}
     everything = tuple(TOPICS.values())
@@ -217,7 +225,7 @@ def roles() -> dict[str, Role]:
     served = tuple(key for role in named.values() for key in role.serves)
     given = tuple(topic for topic in everything if any(topic in service.gives for service in own))
     statuses = tuple(f"{service.name}/status" for service in own)
-    # Of the episodes that it has run, a person's command must not miss the end.
+    # A person's command must not miss the end of its episodes.
     named["operator"] = Role(
         "operator", everything, given, (topics.EPISODE,), statuses, served, person=True
     )

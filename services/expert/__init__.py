@@ -1,1 +1,1 @@
-"""The scripted expert: a client that sees the true pose and drives as a person with four keys would."""
+"""Scripted expert: a client that drives by the true pose, with the four keys of a person."""

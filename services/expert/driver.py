@@ -13,21 +13,23 @@ from schemas.motion import TruePose
 from schemas.rpc import ResetReply
 from services.kit.errors import JobError
 
-RECOVERY_TICKS: Final = 80  # A recovery drive is over after this many frames (8 s at 10 Hz).
-DRIVE_TICKS: Final = 20_000  # Frames after which a full drive is given up: four times as many as 1 km takes at 2 m/s.
-LOOKAHEAD_S: Final = 1.25  # How far ahead on the route the driver looks, as seconds of driving.
-#: A person corrects the heading when it is off by this much, and then until it is this close, radians.
+# Duration of a recovery drive in frames (8 s at 10 Hz).
+RECOVERY_TICKS: Final = 80
+# Timeout of a full drive in frames: four times as many as 1 km takes at 2 m/s.
+DRIVE_TICKS: Final = 20_000
+LOOKAHEAD_S: Final = 1.25
+#: Heading errors at which a person starts and stops a correction, radians.
 START_TURNING_RAD: Final = math.radians(7.0)
 STOP_TURNING_RAD: Final = math.radians(3.0)
-#: The driver has arrived at this fraction of the distance from the victim where it counts as found.
+#: Share of the found distance from the victim at which the driver has arrived.
 ARRIVED_FRACTION: Final = 0.5
 
 
 class RouteDriver:
-    """Follows a route (way points in metres, at least two) with the keys forward, left and right.
+    """Follows a route (at least two way points, metres) with the keys forward, left and right.
 
-    `speed_m_s` is the robot's nominal speed; `found_m` is how near the route's end, the victim, counts as found. A
-    `car` goes on ahead in turning.
+    `speed_m_s` is the robot's nominal speed; `found_m` is the distance from the route's end, the
+    victim, that counts as found. A `car` keeps driving ahead while it turns.
     """
 
     def __init__(
@@ -50,7 +52,7 @@ class RouteDriver:
         self._car = car
 
     def arrived(self, x: float, y: float) -> bool:
-        """Whether the robot has come close enough to the route's end."""
+        """Return whether the robot is close enough to the route's end."""
         return math.dist((x, y), self._points[-1]) <= self._arrived_m
 
     def velocity(self, x: float, y: float, heading: float) -> Velocity:
@@ -73,7 +75,7 @@ class RouteDriver:
         return self._turning or "forward"
 
     def _project(self, position: NDArray[np.float64]) -> float:
-        """Return how far along the route the nearest point is, of the stretch that can have been reached."""
+        """Return the distance along the route of the nearest point within reach."""
         near = self._progress_m
         far = self._progress_m + 2 * self._lookahead_m
         candidates = np.linspace(near, min(far, float(self._along[-1])), 64)
@@ -81,7 +83,7 @@ class RouteDriver:
         return float(candidates[np.argmin(((points - position) ** 2).sum(axis=1))])
 
     def _point_at(self, along_m: float | NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the point so far along the route, shape (2,); of many, shape (..., 2)."""
+        """Return the points at distances along the route, shape (..., 2)."""
         return np.stack(
             [np.interp(along_m, self._along, self._points[:, axis]) for axis in (0, 1)], axis=-1
         )

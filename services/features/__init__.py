@@ -1,1 +1,1 @@
-"""Camera frame in, multimodal feature vector out."""
+"""Feature extraction: camera frames in, multimodal feature vectors out."""

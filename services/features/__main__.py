@@ -7,7 +7,7 @@ from services.kit.process import run_group
 
 
 def serve(node: Node, settings: FeaturesSettings) -> None:
-    """Turn frames into observations until stopped."""
+    """Compute observations of frames until stopped."""
     service = FeaturesService(settings.features)
     node.detail = service.detail
     node.subscribe(topics.JPEG, service.handle, depth=1)

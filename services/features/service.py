@@ -1,4 +1,4 @@
-"""One frame in, one observation out."""
+"""Features service: computes one observation per frame."""
 
 from pydantic import field_validator
 
@@ -13,7 +13,7 @@ from smal.features.percept import perceive
 
 
 class FeaturesSettings(FleetSettings):
-    """Which features to make."""
+    """Settings of the features."""
 
     modalities: str = ",".join(FeatureSettings().modalities)
     """Feature modalities, separated by commas, in their order in the observation."""

@@ -1,1 +1,1 @@
-"""What every service is made of: the bus, the process around it, its settings, health and metrics."""
+"""Shared parts of all services: the bus, the process, its settings, health and metrics."""

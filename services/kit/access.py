@@ -1,8 +1,8 @@
-"""What the router lets through: rules for each role, derived from the table of services; all else is refused.
+"""Access rules of the router for each role, derived from the table of services.
 
-The form is that of Zenoh's ``access_control``. A rule's keys are exact, so that no wildcard of a sender matches them. A
-message is looked at where it comes into the router (ingress, what a role may say) and where it goes out (egress, what a
-role may hear); both must allow it.
+The form is Zenoh's ``access_control``, which denies everything else. The keys of a rule are exact,
+so a sender's wildcards never match. Each message is checked twice: when it enters the router
+(ingress, the sender's role) and when it leaves (egress, the receiver's role).
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -12,11 +12,10 @@ from schemas.topics import ROOT, Topic, echo_key, group_key, rpc_key
 from services.table import Role, roles
 
 Rule = dict[str, object]
-#: Where a sender keeps what is recorded, and says that it is there; ``**`` does not match it.
+#: Keys by which a sender announces and serves its kept messages; ``**`` does not match them.
 KEPT_KEYS: Final = "@adv/pub/**"
-#: Of the router itself: who is connected, and what is declared. It can be read, never written.
+#: The router's own state: its connections and declarations. It is read-only.
 ADMINISTRATION: Final = "@/**"
-#: Between two routers.
 _PASSED_ON: Final[Rule] = {
     "id": "router: all",
     "permission": "allow",
@@ -30,10 +29,10 @@ _PASSED_ON: Final[Rule] = {
 
 
 def access_control(robots: Sequence[str], *, linked: bool = False) -> dict[str, object]:
-    """Return the router's rules for the robots of a fleet: who may do what is told by the certificate.
+    """Return the router's rules for the robots of a fleet; a certificate identifies the role.
 
-    A router that is linked with another one passes on whatever that has let in, and hands it all: each has looked at it
-    at its own door.
+    A linked router passes on everything from its peers and to them: each router checks its own
+    clients.
     """
     rules = {role.name: list(_rules(role, robots)) for role in roles().values()}
     if linked:
@@ -51,7 +50,7 @@ def access_control(robots: Sequence[str], *, linked: bool = False) -> dict[str, 
 
 
 def _lost(kept: set[str]) -> set[str]:
-    """Return by which keys Zenoh asks for what was lost on the way: it knows whose, and not of which kind they are."""
+    """Return the keys that Zenoh queries for lost messages: the sender is known, its kind is not."""
     return {key.replace("@adv/pub/", "@adv/*/") for key in kept}
 
 
@@ -81,7 +80,7 @@ def _rpc_keys(names: Iterable[str], robots: Sequence[str]) -> set[str]:
 
 
 def _allowed(role: Role, robots: Sequence[str]) -> Iterator[tuple[str, set[str], set[str]]]:
-    """Yield each kind of message, and the keys with which a role may send it to the router, and be sent it."""
+    """Yield each kind of message with the keys that a role may send it to and receive it from."""
     gives = _keys(role.gives, robots)
     takes = _keys(role.takes, robots)
     fetches = _keys(role.fetches, robots)
@@ -91,17 +90,16 @@ def _allowed(role: Role, robots: Sequence[str]) -> Iterator[tuple[str, set[str],
     serves = _rpc_keys(role.serves, robots)
     calls = _rpc_keys(role.calls, robots)
     listens = {f"{ROOT}/{robot}/**" for robot in robots} if role.person else set()
-    #: An instance is seen by those of its own service, sees them, asks them and answers them.
+    #: Instances of the same service see, query and answer each other.
     seen = {f"{group_key(robots[0], role.name)}/**"} if role.grouped else set()
-    #: A process sends itself signs of life.
     echo = {echo_key(role.name, "*", "*", "*")}
     asked = calls | replayed | ({ADMINISTRATION} if role.name == "operator" else set())
     yield "put", gives | kept | echo, takes | replayed | echo
-    # A sender is told who listens, and a caller who serves: without that neither sends.
+    # Senders must learn of subscribers, and callers of queryables; otherwise Zenoh sends nothing.
     yield "declare_subscriber", takes | replayed | listens | echo, gives | kept | echo
     yield "declare_queryable", serves | kept | seen, asked | seen
     yield "query", asked | _lost(replayed) | seen, serves | kept | _lost(kept) | seen
-    # What a sender kept is answered on the topic's own key.
+    # Kept messages are answered on the topic's own key.
     yield "reply", serves | kept | recorded | seen, asked | fetches | seen
     yield "liveliness_token", kept | seen, replayed | seen
     yield "declare_liveliness_subscriber", replayed, kept

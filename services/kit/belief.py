@@ -1,4 +1,4 @@
-"""A belief of the filter on the wire."""
+"""Conversion of the filter's belief to messages and back."""
 
 import math
 from typing import Any
@@ -13,7 +13,7 @@ from smal.sought.witness import Glimpse
 
 
 def fields_of(located: Located) -> dict[str, Any]:
-    """Return where a robot is, and what it sees there, as fields of `State`."""
+    """Return the belief and the detected target as fields of `State`."""
     belief = located.belief
     offsets = belief.offsets.clip(-FAR_M, FAR_M)
     places = np.column_stack([belief.keyframes, offsets, belief.weights])
@@ -51,5 +51,5 @@ def belief_of(state: State) -> Belief:
 
 
 def glimpse_of(state: State) -> Glimpse | None:
-    """Return whether the target is in view; None where nothing can tell."""
+    """Return the detection of the target; None without a target detector."""
     return None if state.seen is None else Glimpse(state.seen, state.near, state.seen_left)

@@ -1,4 +1,7 @@
-"""The bus: messages and calls over Zenoh between all at one router, or at several; ``wire`` says what to count on."""
+"""The bus: messages and calls over Zenoh through one or several routers.
+
+See `services.kit.wire` for its guarantees.
+"""
 
 import logging
 import threading
@@ -50,24 +53,25 @@ __all__ = [
     "zenohd_configuration",
 ]
 
-PATIENCE_S: Final = 10.0  # How long a process waits for a router that is perhaps just starting.
-#: How often a publisher tells how many samples there were, so that a subscriber that missed the last ones notices; also
-#: when it has been silent for long, since the router may have been away meanwhile.
+# How long a process waits for a router that is perhaps just starting.
+PATIENCE_S: Final = 10.0
+#: How often a publisher sends its sample count, so that subscribers notice missing samples; also
+#: after long silence, since the router can have been away.
 HEARTBEAT_S: Final = 0.25
-#: Priority of replayed samples: that of the message by which Zenoh ends a reply. With a lower one that would overtake
-#: them on a busy machine, and the rest be lost.
+#: Priority of replayed samples. It equals the priority of the message that ends Zenoh's reply; at a
+#: lower priority that message overtakes samples on a busy machine, and they are lost.
 REPLAY_PRIORITY: Final = zenoh.Priority.DATA
-#: Bytes that samples may take while they wait for what their senders kept, over all topics: for ten seconds, six
-#: megabytes a second, which is frames as JPEG at 10 Hz and all else.
+#: Maximum bytes of samples that wait for replayed samples, over all topics: six megabytes a second
+#: for ten seconds, which covers JPEG frames at 10 Hz and the other topics.
 HELD_BYTES: Final = 64 << 20
-WAITING_CALLS: Final = 32  # Calls of one key that wait; where more come, nobody answers the oldest.
-CALLS_SHARE: Final = 0.1  # Most of a processor's time that answering the calls of one key takes.
-MOVE_S: Final = 2.0  # Longest that a robot is without an instance, where one of several is gone.
-_AGAIN_S: Final = 0.05  # From one call that nobody answers to the next.
-_CALL_PRIORITY: Final = (
-    zenoh.Priority.INTERACTIVE_LOW
-)  # Of calls: ahead of images and of what is replayed.
-_LAST_ANSWER_S: Final = 1.0  # A call that is being answered at the end is waited for so long.
+# Length of the queue of one key's calls; the oldest calls beyond it are dropped.
+WAITING_CALLS: Final = 32
+CALLS_SHARE: Final = 0.1  # Maximum share of a processor for answering the calls of one key.
+MOVE_S: Final = 2.0  # Maximum time without an instance when one of several leaves.
+_AGAIN_S: Final = 0.05  # Pause between two attempts of an unanswered call.
+# Calls go ahead of images and replayed samples.
+_CALL_PRIORITY: Final = zenoh.Priority.INTERACTIVE_LOW
+_LAST_ANSWER_S: Final = 1.0  # How long closing waits for a call that is being answered.
 _PUT: Final = zenoh.SampleKind.PUT
 _MOST_TOKENS: Final = 1 << 16  # More than all sessions may declare at a router.
 JSON_ENCODING: Final = zenoh.Encoding("application/json")
@@ -77,17 +81,35 @@ E = TypeVar("E", bound=Entity)
 
 
 class RpcError(JobError):
-    """A call was refused by the service or not answered."""
+    """A call that the service refused or did not answer."""
 
 
 class Bus:
-    """One process's connection to a router; the robot's id is part of every key.
+    """Connection of one process to the routers, for one robot.
 
-    Each lane is a session of its own: no image can stand before a command in a queue, and nothing before a stop. After
-    an outage the connection is made again in the background (`connection`), with the next of several routers where one
-    is gone. Every lane proves that it carries both ways (`echo`). ``role`` is that of the credentials.
+    Each lane is a session of its own, so that an image cannot delay a command, and nothing delays a
+    stop. After an outage the connection is restored in the background (`connection`), by the next
+    of several routers. Echoes prove that every lane carries both ways (`echo`).
 
-    Raises BusError when an address is malformed, or no router is there within ``patience_s`` that lets us in.
+    Parameters
+    ----------
+    robot
+        Id of the robot, part of every key.
+    endpoint
+        Address of the router, or addresses separated by commas.
+    patience_s
+        Timeout of the first connection, seconds.
+    credentials
+        Certificate; None for an open bus.
+    role
+        Role of the credentials.
+    of
+        Bus whose connection is shared.
+
+    Raises
+    ------
+    BusError
+        If an address is malformed, or no router accepts the connection within ``patience_s``.
     """
 
     def __init__(
@@ -110,7 +132,7 @@ class Bus:
             of._lanes if of else {lane: Connection(open_session, patience_s) for lane in LANES}
         )
         self._echo: LaneEcho = of._echo if of else LaneEcho(role, self._lanes)
-        #: By topic, with when something was last sent, monotonic seconds.
+        #: By topic, with the time of the last message, monotonic seconds.
         self._publishers: dict[
             str, tuple[Declared[zenoh.Publisher | zenoh.ext.AdvancedPublisher], float]
         ] = {}
@@ -120,12 +142,12 @@ class Bus:
         self._answering: list[threading.Thread] = []
 
     def of_robot(self, robot: str) -> "Bus":
-        """Return another robot's bus by the same connection; close it before this one."""
+        """Return the bus of another robot over the same connection; close it before this bus."""
         return Bus(robot, self.endpoint, of=self)
 
     @property
     def sessions(self) -> dict[Lane, zenoh.Session]:
-        """The sessions of now, by lane."""
+        """The current sessions, by lane."""
         return {lane: connection.session for lane, connection in self._lanes.items()}
 
     def _declare(
@@ -135,48 +157,52 @@ class Bus:
         self._declared.append((self._lanes[lane], declared))
         return declared
 
-    # -- the lanes --------------------------------------------------------------------------------------------------
+    # -- the lanes ---------------------------------------------------------------------------------
 
     def echo_every(self, period_s: float) -> None:
-        """Have the lanes send each other signs of life this often, seconds."""
+        """Set the period of the echoes between the lanes, seconds."""
         self._echo.every(period_s)
 
     def echo_age_s(self, *lanes: Lane) -> float:
-        """Return how long ago the newest signs of life were sent that prove that all of some lanes work, seconds."""
+        """Return the age of the oldest of some lanes' newest echoes, seconds."""
         return max(map(self._echo.age_s, lanes))
 
     def silent(self) -> tuple[Lane, ...]:
-        """Return the lanes that carry nothing: without a router, or without a recent echo from it."""
+        """Return the lanes without a router or without a recent echo."""
         return self._echo.silent()
 
     def check(self) -> None:
-        """Raise BusError when a lane stays silent although the router is there: only a new process mends that."""
+        """Raise BusError if a lane stays silent although the router is connected.
+
+        Only a new process restores such a lane.
+        """
         deaf = self._echo.deaf()
         if deaf:
             raise BusError(
-                f"lane {', '.join(deaf)}: no echo for {SILENT_S + DEAF_S:g} s, though {self.endpoint} is connected; "
+                f"lane {', '.join(deaf)}: no echo for {SILENT_S + DEAF_S:g} s, "
+                f"though {self.endpoint} is connected; "
                 "this process ends and must be started again"
             )
 
     def connected(self) -> bool:
-        """Whether every lane has a router, which echoes."""
+        """Return whether every lane has a router that echoes."""
         return not self.silent()
 
     def wait_connected(self, timeout_s: float) -> None:
-        """Wait for the router; BusError where there is none within ``timeout_s``."""
+        """Wait for the router; raise BusError after ``timeout_s``."""
         deadline = time.monotonic() + timeout_s
         while not self.connected():
             if time.monotonic() > deadline:
                 raise BusError(f"no router at {self.endpoint}; start the stack with `smal up`")
             time.sleep(0.02)
 
-    # -- messages -------------------------------------------------------------------------------------------------
+    # -- messages ----------------------------------------------------------------------------------
 
     def publish(self, message: Message) -> None:
-        """Send a message on its topic.
+        """Publish a message on its topic.
 
-        During an outage of the router it is lost, but for the topics that are recorded: those are kept for
-        ``topics.KEPT_S``, and subscribers with ``replay`` have them sent afterwards.
+        During an outage of the router it is lost, unless its topic is recorded: then it is kept for
+        ``topics.KEPT_S`` and replayed to subscribers with ``replay``.
         """
         topic = TOPICS[message.topic_name]
         publisher, _ = self._publishers.get(topic.name) or (None, 0.0)
@@ -188,28 +214,28 @@ class Bus:
         publisher.entity.put(payload := encode(message), attachment=checksum(payload))
 
     def forget(self) -> None:
-        """Let go of what is kept, where nothing was sent for longer than it is; on the thread that publishes."""
+        """Release the kept messages of silent publishers; call it on the publishing thread."""
         for name, (publisher, sent_s) in [*self._publishers.items()]:
             if time.monotonic() - sent_s > KEPT_S:
                 del self._publishers[name]
                 self._lanes[TOPICS[name].outgoing].let_go(publisher)
 
     def has_listeners(self, topic: Topic) -> bool:
-        """Whether anybody subscribes to a topic, as far as the router has told yet; for what is costly to make."""
-        # Of its own: a publisher that keeps what it sends does not tell.
+        """Return whether a topic has subscribers, to skip costly messages without any."""
+        # A separate publisher: Zenoh's advanced publisher does not report subscribers.
         if topic.name not in self._matching:
             key = topic.key(self.robot)
             self._matching[topic.name] = self._declare(
                 topic.outgoing, lambda session: session.declare_publisher(key), sends=True
             )
-        # Zenoh's types say bool; it is an object, and as such always true.
+        # Zenoh's types declare bool, but it is an object, which is always true.
         status: object = self._matching[topic.name].entity.matching_status
         return cast("zenoh.MatchingStatus", status).matching
 
     def declare_publisher(
         self, topic: Topic, session: zenoh.Session | None = None
     ) -> zenoh.Publisher | zenoh.ext.AdvancedPublisher:
-        """Declare the publisher that a topic asks for, in the session of now."""
+        """Declare the publisher of a topic, in the current session by default."""
         session = session or self.sessions[topic.outgoing]
         key = topic.key(self.robot)
         options = {
@@ -235,11 +261,20 @@ class Bus:
     def subscribe(
         self, topic: Topic, take: Take, refused: Refused = lambda _: None, *, replay: bool = False
     ) -> None:
-        """Call ``take`` for every sample of a topic, on the bus's thread; it must return at once.
+        """Call ``take`` for every sample of a topic, on the bus's thread.
 
-        It is given payload, encoding, and how many seconds it took by the clocks of both machines, or None. ``refused``
-        is given why something is no such sample, and whose. With ``replay`` what was published in the last
-        ``topics.KEPT_S``, and what gets lost, is sent in order: for what keeps a record, never for what moves a robot.
+        Parameters
+        ----------
+        topic
+            Topic to subscribe to.
+        take
+            Called with payload, encoding and transit time in seconds by the clocks of both
+            machines, or None. It must return at once.
+        refused
+            Called with the reason for each invalid sample, and its sender.
+        replay
+            Whether to receive, in order, the messages of the last ``topics.KEPT_S`` and those lost
+            on the way. For records only: a robot must not move by old commands.
         """
         key = topic.key(self.robot)
 
@@ -272,7 +307,7 @@ class Bus:
     def listen(
         self, keys: str, take: Callable[[str, bytes, str], None], *, lane: Lane = "ordinary"
     ) -> None:
-        """Call ``take(key, payload, encoding)`` for each sample on keys; BusError when these are no key expression."""
+        """Call ``take(key, payload, encoding)`` for each sample; BusError for an invalid key."""
 
         def on_sample(sample: zenoh.Sample) -> None:
             take(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
@@ -282,17 +317,16 @@ class Bus:
                 lane, lambda session: session.declare_subscriber(keys, in_order(on_sample))
             )
         except zenoh.ZError as error:
-            raise BusError(
-                str(error).partition(" at /")[0]
-            ) from None  # without the place in Zenoh's source
+            # Without the location in Zenoh's source.
+            raise BusError(str(error).partition(" at /")[0]) from None
 
-    # -- who is there ---------------------------------------------------------------------------------------------
+    # -- liveliness --------------------------------------------------------------------------------
 
     def stand(self, key: str) -> Callable[[], None]:
-        """Declare a liveliness token, until what is returned is called or this process is gone.
+        """Declare a liveliness token and return the function that withdraws it.
 
-        It comes from another session than the question of `look`: a process sees its own token only when the router has
-        it, and then all tokens that the router had before.
+        The token uses another session than the query of `look`. Therefore a process sees its own
+        token only when the router has it, and with it all earlier tokens.
         """
         lane = self._lanes["urgent"]
         return partial(
@@ -300,22 +334,22 @@ class Bus:
         )
 
     def look(self, keys: str, timeout_s: float) -> frozenset[str]:
-        """Return the keys of all liveliness tokens that stand now; without a router, or a session, there are none.
+        """Return the keys of all liveliness tokens; empty without a router or a session.
 
-        A process asks when it has time: a flood of tokens cannot outrun it, as it would if the router sent each one on.
+        Queries, unlike subscriptions, bound the load by a flood of tokens.
         """
-        # No callback: Zenoh ends one under a lock that other threads wait for while they hold Python's.
+        # Zenoh drops a callback under a lock, which other threads wait for while they hold the GIL.
         channel: zenoh.handlers.FifoChannel[zenoh.Reply] = zenoh.handlers.FifoChannel(_MOST_TOKENS)
         try:
             replies = (
                 self._lanes["ordinary"].session.liveliness().get(keys, channel, timeout=timeout_s)
             )
-        except zenoh.ZError:  # The session has been closed, by this process or for a new one.
+        except zenoh.ZError:  # The session was closed, by this process or for a new session.
             return frozenset()
         return frozenset(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
     def answer(self, key: str, tell: Callable[[], Strict | None]) -> None:
-        """Answer every question at a key, on the bus's thread; with None the question stays without an answer."""
+        """Answer queries at a key on the bus's thread; None leaves a query unanswered."""
 
         def on_query(query: zenoh.Query) -> None:
             with query:
@@ -327,7 +361,7 @@ class Bus:
         self._declare("ordinary", lambda session: session.declare_queryable(key, callback))
 
     def ask(self, keys: str, take: Callable[[str, bytes], None], timeout_s: float) -> None:
-        """Ask all that answer at some keys, and call ``take(key, payload)`` for each answer, on the bus's thread."""
+        """Query some keys and call ``take(key, payload)`` for each answer, on the bus's thread."""
 
         def on_reply(reply: zenoh.Reply) -> None:
             if reply.ok is not None and len(reply.ok.payload) <= MAX_RPC_BYTES:
@@ -343,7 +377,7 @@ class Bus:
             priority=_CALL_PRIORITY,
         )
 
-    # -- calls ----------------------------------------------------------------------------------------------------
+    # -- calls -------------------------------------------------------------------------------------
 
     def serve(
         self,
@@ -352,10 +386,11 @@ class Bus:
         answer: Callable[[bytes, Callable[[Strict], None]], None],
         refused: Refused = lambda _: None,
     ) -> None:
-        """Answer calls: ``answer(request_json, reply)`` runs on a thread of its own and may pass ``reply`` on.
+        """Answer calls by ``answer(request_json, reply)``, on a separate thread.
 
-        A ``Failure`` given to ``reply`` reaches the caller as an error; so does why a request is too large, or not for
-        this service alone, of which ``refused`` is told.
+        ``answer`` can pass ``reply`` to other threads. A ``Failure`` given to ``reply`` raises an
+        error at the caller. Requests that are too large, or not for this service alone, fail
+        likewise, and ``refused`` receives the reason.
         """
         key = rpc_key(self.robot, service, verb)
 
@@ -378,7 +413,7 @@ class Bus:
             try:
                 answer(b"{}" if payload is None else payload.to_bytes(), reply)
             except Exception:
-                # Who logs the error keeps its traceback, and with it the query.
+                # The logged traceback keeps a reference to the query.
                 query.drop()
                 _logger.exception("a handler on the bus's thread failed")
 
@@ -386,12 +421,12 @@ class Bus:
             for query in queryable:
                 began_s = time.thread_time()
                 on_query(query)
-                # Whoever holds it now answers; otherwise its caller hears that nobody does.
+                # The last reference decides: without one, Zenoh ends the call without an answer.
                 del query
                 time.sleep((1.0 / CALLS_SHARE - 1.0) * (time.thread_time() - began_s))
 
-        # What waits does so outside of Python, whose threads take turns: ten thousand calls of a status in a second,
-        # which whoever looks at a robot may make, would otherwise take them from the loop that drives.
+        # Calls wait outside of Python, where they take no time from the loop that drives: any
+        # watcher may send ten thousand status calls a second.
         def take_calls(session: zenoh.Session) -> zenoh.Queryable[Any]:
             calls: zenoh.handlers.RingChannel[zenoh.Query] = zenoh.handlers.RingChannel(
                 WAITING_CALLS
@@ -410,9 +445,26 @@ class Bus:
         self, service: str, verb: str, request: Strict, reply_type: type[R], timeout_s: float = 10.0,
         patience_s: float | None = None,
     ) -> R:  # fmt: skip
-        """Call a service; RpcError when it refuses, does not answer in time, or answers nonsense.
+        """Call a service and return its validated reply.
 
-        Where nobody serves the robot it is asked again for so long; by default as a move between instances may take.
+        Parameters
+        ----------
+        service, verb
+            Name of the queryable.
+        request
+            Request, sent as JSON.
+        reply_type
+            Class of the reply.
+        timeout_s
+            Time limit of one attempt, seconds.
+        patience_s
+            How long to retry while no instance serves the robot; by default the time that a move
+            between instances takes.
+
+        Raises
+        ------
+        RpcError
+            If the service refuses, does not answer in time, or sends an invalid reply.
         """
         key = rpc_key(self.robot, service, verb)
         began_s = time.monotonic()
@@ -424,7 +476,8 @@ class Bus:
             time.sleep(_AGAIN_S)
         if reply is None:
             raise RpcError(
-                f"{service} {verb}: no answer; is the service running for robot {self.robot}? (router {self.endpoint})"
+                f"{service} {verb}: no answer; is the service running for robot {self.robot}? "
+                f"(router {self.endpoint})"
             )
         result = reply.result
         at = key
@@ -433,20 +486,20 @@ class Bus:
             at = str(result.key_expr)
             put = result.kind == _PUT
         if (why := flaw(key, None, at, len(result.payload), put=put)) is not None:
-            raise RpcError(f"{service} {verb}: unfit reply: {why}")
+            raise RpcError(f"{service} {verb}: invalid reply: {why}")
         payload = result.payload.to_bytes()
         if not isinstance(result, zenoh.Sample):
             raise RpcError(f"{service} {verb}: {reason(payload)}")
         try:
             return reply_type.model_validate_json(payload)
         except ValidationError as error:
-            raise RpcError(f"{service} {verb}: malformed reply: {describe(error)}") from None
+            raise RpcError(f"{service} {verb}: invalid reply: {describe(error)}") from None
 
     def _ask(self, key: str, request: Strict, timeout_s: float) -> zenoh.Reply | None:
-        """Return the first reply to a call; None where nobody answers."""
+        """Return the first reply to a call; None without a reply."""
         replies = self._lanes["ordinary"].session.get(
             key,
-            # Room for one reply, and the first is taken: whoever answers a thousand times fills no memory.
+            # Room for one reply, so that a thousand replies cannot fill the memory.
             zenoh.handlers.FifoChannel(1),
             payload=request.model_dump_json().encode(),
             encoding=JSON_ENCODING,
@@ -457,7 +510,7 @@ class Bus:
         return next(iter(replies), None)
 
     def close(self) -> None:
-        """Take back every declaration and leave the router."""
+        """Withdraw every declaration and disconnect."""
         for name in self._publishers:
             self._declared.append((self._lanes[TOPICS[name].outgoing], self._publishers[name][0]))
         while self._declared:
@@ -467,18 +520,17 @@ class Bus:
             self._echo.close()
             for connection in self._lanes.values():
                 connection.close()
-        # Each ends with its queryable. One that woke in Zenoh while Python ends would end the process by an abort.
+        # Each thread ends with its queryable. A thread that wakes in Zenoh while Python finalizes
+        # aborts the process.
         for thread in self._answering:
             if thread is not threading.current_thread():
                 thread.join(_LAST_ANSWER_S)
 
 
 def _origin(sample: zenoh.Sample) -> str:
-    """Say whose a sample is, as far as that is said; a router stamps what came without a time."""
+    """Describe the sender of a sample, if known; routers stamp samples without a timestamp."""
     if sample.source_info is not None:
         return f"sent by {sample.source_info.source_id.zid}"
     return (
-        "stamped by nobody"
-        if sample.timestamp is None
-        else f"stamped by {sample.timestamp.get_id()}"
+        "sender unknown" if sample.timestamp is None else f"stamped by {sample.timestamp.get_id()}"
     )

@@ -1,4 +1,4 @@
-"""How a camera sees, from and to messages: ours, and `sensor_msgs/msg/CameraInfo` of ROS."""
+"""Conversion of cameras to messages and back, for SMAL and ROS (`sensor_msgs/msg/CameraInfo`)."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from smal.camera import Camera
 
 
 def camera_of(info: CameraInfo) -> Camera:
-    """Return the camera that a message tells of."""
+    """Return the camera of a message."""
     width = info.width
     height = info.height
     centre = (info.centre_x_px - width / 2) / width, (info.centre_y_px - height / 2) / width
@@ -16,9 +16,9 @@ def camera_of(info: CameraInfo) -> Camera:
 
 
 def camera_info(cause: Message, camera: Camera, width: int, height: int) -> CameraInfo:
-    """Make the message of a camera whose images are of this size."""
+    """Return the message of a camera for images of a size."""
     right, down = camera.centre
-    # Another size of image may be cut.
+    # Another image size can be a crop, which leaves the centre outside.
     down = min(max(down, -height / width / 2), height / width / 2)
     return CameraInfo.after(
         cause, width=width, height=height, focal_px=camera.focal * width, centre_x_px=width / 2 + right * width,
@@ -27,12 +27,12 @@ def camera_info(cause: Message, camera: Camera, width: int, height: int) -> Came
 
 
 def camera_of_ros(info: Any) -> Camera:  # noqa: ANN401 - its class is made of its definition
-    """Return the camera that a message of ROS tells of; ValueError where it tells of none."""
+    """Return the camera of a ROS message; ValueError if it is not calibrated."""
     width = int(info.width)
     height = int(info.height)
     k = [float(one) for one in info.k]
     if width <= 0 or not k[0] > 0.0:
-        raise ValueError("no focal length in it; the camera is not calibrated")
+        raise ValueError("no focal length: the camera is not calibrated")
     distortion = tuple(float(one) for one in info.d)
     lens: Any = info.distortion_model if any(distortion) else info.distortion_model or "plumb_bob"
     return Camera(

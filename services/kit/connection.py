@@ -1,8 +1,9 @@
-"""A session with a router, and what is declared in it: who has lost a router and finds it again comes under a new name.
+"""Sessions with a router that renew themselves after an outage.
 
-A router that had no time for a while may add the connection of who comes back to what it knows of who was there before
-(Zenoh 1.10.2, its issue 2806): the numbers of keys then mean other keys to it, and messages come under the key of
-another, or never. It goes by the session's id; so a new session takes over, in which everything is declared anew.
+A busy router can confuse a reconnected session with its previous connection (Zenoh 1.10.2, its
+issue 2806). Its numbers of keys then mean other keys, and messages arrive under wrong keys or not
+at all. The router identifies sessions by their id, so a new session with a new id takes over and
+repeats all declarations.
 """
 
 import threading
@@ -16,21 +17,22 @@ import zenoh
 from schemas.topics import KEPT_S
 from services.kit.wire import BusError
 
-_PATIENCE_S: Final = 10.0  # How long one try to open a new session waits; there is always another.
+# Timeout of one attempt to open a new session; attempts repeat.
+_PATIENCE_S: Final = 10.0
 
 
 class Entity(Protocol):
-    """What Zenoh returns for what is declared."""
+    """Declared entity of Zenoh."""
 
     def undeclare(self) -> Any:  # noqa: ANN401 - Zenoh's classes return nothing
-        """Take it back."""
+        """Withdraw the declaration."""
 
 
 E = TypeVar("E", bound=Entity)
 
 
 class Declared(Generic[E]):
-    """What was declared: ``entity`` is that of the session of now."""
+    """Declaration whose ``entity`` belongs to the current session."""
 
     def __init__(self, make: Callable[[zenoh.Session], E], entity: E, *, sends: bool) -> None:
         self.make = make
@@ -39,11 +41,11 @@ class Declared(Generic[E]):
 
 
 class Connection:
-    """A session, and those that take over from it; ``open_session`` is given how long it may wait for a router.
+    """The current session and its declarations, which successors take over; thread-safe.
 
-    Any thread may call. What ``sends`` is not taken back with the session before, which stays for as long as samples
-    are kept: somebody may be sending just now, and whoever lacks some can ask there. Raises what the first opening
-    raises.
+    Publishers (``sends``) outlive their session for as long as samples are kept: another thread can
+    be sending, and subscribers can still fetch from them. The constructor raises the error of
+    ``open_session``, whose argument is its timeout in seconds.
     """
 
     def __init__(self, open_session: Callable[[float], zenoh.Session], patience_s: float) -> None:
@@ -55,21 +57,21 @@ class Connection:
         self.session = self._opened(patience_s)
 
     def declare(self, make: Callable[[zenoh.Session], E], *, sends: bool = False) -> Declared[E]:
-        """Declare what ``make`` makes, in this session and in those that follow."""
+        """Declare an entity by ``make``, in this session and its successors."""
         with self._lock:
             declared = Declared(make, make(self.session), sends=sends)
             self._declared.append(declared)
             return declared
 
     def let_go(self, declared: Declared[Any]) -> None:
-        """Take back what was declared, once."""
+        """Withdraw a declaration; further calls have no effect."""
         with self._lock:
             if declared in self._declared:
                 self._declared.remove(declared)
                 declared.entity.undeclare()
 
     def close(self) -> None:
-        """Take back everything and leave the router."""
+        """Withdraw all declarations and disconnect."""
         with self._lock:
             self._closed = True
             while self._declared:
@@ -85,7 +87,7 @@ class Connection:
             router = str(event.transport.zid)
             if event.kind == zenoh.SampleKind.DELETE:
                 lost[:] = [router]
-            elif router in lost:  # and at no other one meanwhile
+            elif router in lost:  # The same router is back, with no other in between.
                 threading.Thread(
                     target=self._renew, args=(session,), name="a new session", daemon=True
                 ).start()
@@ -104,14 +106,14 @@ class Connection:
                 if new is not None:
                     new.close()
                 return
-            for one in self._declared:
-                if not one.sends:
-                    one.entity.undeclare()
+            for declared in self._declared:
+                if not declared.sends:
+                    declared.entity.undeclare()
             self._end_before()
-            self._before = old, [one.entity for one in self._declared if one.sends]
+            self._before = old, [item.entity for item in self._declared if item.sends]
             self.session = new
-            for one in self._declared:
-                one.entity = one.make(new)
+            for declared in self._declared:
+                declared.entity = declared.make(new)
         time.sleep(KEPT_S)
         with self._lock:
             if old in self._before:

@@ -1,4 +1,4 @@
-"""How a process shows the router who it is: by a certificate, as the router does; the connection is encrypted."""
+"""Certificates by which processes and routers authenticate each other (mutual TLS)."""
 
 import ipaddress
 import os
@@ -10,76 +10,81 @@ from typing import Final, NamedTuple
 
 from services.kit.wire import BusError
 
-#: Files of a folder that `smal secure init` makes: `CA_FILE`, and for each role its name with one of these ends.
+#: Files in the folder of `smal secure init`: `CA_FILE` and, for each role, its name with these
+#: suffixes.
 CA_FILE: Final = "ca.pem"
 CERTIFICATE_SUFFIX: Final = ".pem"
 KEY_SUFFIX: Final = ".key"
-#: Of a scheduler of Dask, its workers and who computes there: each shows this one, and takes no other. Its holder can
-#: run anything at them, which no role of a robot's bus may.
+#: Role of Dask's scheduler, workers and clients, who accept no other certificate. It permits
+#: arbitrary code, unlike any role of a robot's bus.
 ENGINE: Final = "engine"
 
-#: How long a handshake may take: a router whose certificate has expired is busy with its clients for 1.5 s.
+#: Timeout of a handshake: a router with an expired certificate is busy with its clients for 1.5 s.
 HANDSHAKE_S: Final = 5.0
-REFUSAL_S: Final = 1.0  # How long after it the router may take to refuse us.
+REFUSAL_S: Final = 1.0  # Time for the router's refusal after the handshake.
 
 
 class Certificate(NamedTuple):
-    """A certificate, its key, and by whose signature others are known; all are PEM files."""
+    """Certificate, key and certificate authority, as PEM files."""
 
     ca: Path
     certificate: Path
     key: Path
 
 
-Credentials = Certificate | None  # None of whoever goes to an open bus.
+# None on an open bus.
+Credentials = Certificate | None
 
 
 def credentials_in(folder: Path, role: str) -> Certificate:
-    """Return a folder's certificate for a role; BusError where it has none, or others can read its key."""
+    """Return a role's certificate; BusError if it is missing or its key is not private."""
     return certificate_of(
         folder / CA_FILE, folder / f"{role}{CERTIFICATE_SUFFIX}", folder / f"{role}{KEY_SUFFIX}"
     )
 
 
 def certificate_of(ca: Path, certificate: Path, key: Path) -> Certificate:
-    """Return a certificate whose files are there. Raises BusError when one is not, or others can read the key."""
+    """Check that the files exist and the key is private (BusError otherwise)."""
     for path in (ca, certificate):
         if not path.is_file():
-            raise BusError(f"no certificate {path}; `smal secure init` makes a folder of them")
+            raise BusError(f"certificate {path} not found; create a folder by `smal secure init`")
     secret(key)
     return Certificate(ca, certificate, key)
 
 
 def encrypted(endpoint: str) -> bool:
-    """Whether an address is one of encrypted connections."""
+    """Return whether an address uses encrypted connections."""
     return endpoint.startswith("tls/")
 
 
 def how_secure(credentials: Credentials, *hosts: str) -> str:
-    """Say who gets in at routers, which listen on some hosts; a client does not know on which others as well."""
+    """Describe the access to routers that listen on the given hosts."""
     if credentials is not None:
         return "for holders of a certificate, encrypted"
     return (
-        "for whoever is on this machine"
+        "for this machine only"
         if hosts and not any(map(others_reach, hosts))
-        else "for whoever reaches it"
+        else "for anyone who can reach it"
     )
 
 
 def why_refused(certificate: Certificate, host: str, port: int) -> str | None:
-    """Shake hands with a router, to say whose certificate is refused, and why; None where none is."""
+    """Return which certificate a handshake refuses and why, or None."""
     where = f"tls/{host}:{port}"
     try:
         context = ssl.create_default_context(cafile=certificate.ca)
         context.load_cert_chain(certificate.certificate, certificate.key)
     except ssl.SSLError:
-        return f"cannot use {certificate.certificate} with its key and {certificate.ca}; `smal secure check` says why"
+        return (
+            f"cannot use {certificate.certificate} with its key and {certificate.ca}; "
+            "for the reason run `smal secure check`"
+        )
     try:
         with (
             socket.create_connection((host, port), HANDSHAKE_S) as plain,
             context.wrap_socket(plain, server_hostname=host) as encrypted_socket,
         ):
-            # Who refuses us says so after the handshake. Zenoh's router waits for us to speak.
+            # A refusal arrives after the handshake; a Zenoh router otherwise waits for the client.
             encrypted_socket.settimeout(REFUSAL_S)
             encrypted_socket.recv(1)
     except ssl.SSLCertVerificationError as error:
@@ -102,7 +107,7 @@ def why_refused(certificate: Certificate, host: str, port: int) -> str | None:
 
 
 def others_reach(host: str) -> bool:
-    """Whether another machine might reach a host, by any of its addresses; none does where it has no address."""
+    """Return whether other machines can reach a host by any of its addresses."""
     try:
         found = {str(one[4][0]).partition("%")[0] for one in socket.getaddrinfo(host, None)}
     except OSError:
@@ -111,9 +116,15 @@ def others_reach(host: str) -> bool:
 
 
 def secret(path: Path) -> str:
-    """Read a file that is nobody else's business. Raises BusError when it cannot be read, or others can read it.
+    """Read a private file.
 
-    What root gives to a group of ours to read, as Kubernetes gives its secrets to a pod, is for us.
+    Files of root that are readable by one of this process's groups count as private: Kubernetes
+    mounts a pod's secrets so.
+
+    Raises
+    ------
+    BusError
+        If the file cannot be read, or others can read it.
     """
     try:
         status = path.stat()

@@ -1,9 +1,10 @@
-"""Signs of life that a process sends to itself through the router, to prove that its lanes carry both ways.
+"""Echoes of a process to itself through the router, which prove that its lanes carry both ways.
 
-Zenoh reports a lane as connected for as long as its link is open. A receive thread that has failed leaves the link open
-and receives nothing. So each lane sends the time, by this process's clock, to every other lane: what one session
-publishes reaches another session only through the router. A lane works when any other lane has recently received from
-it, and it has recently received from any other lane.
+Zenoh reports a lane as connected for as long as its link is open. A receive thread that has failed
+leaves the link open and receives nothing. So each lane sends the time, by this process's clock, to
+every other lane: messages of one session reach another session only through the router. A lane
+works when any other lane has recently received from it, and it has recently received from any other
+lane.
 """
 
 import secrets
@@ -21,26 +22,28 @@ from services.kit.connection import Connection, Declared
 from services.kit.history import in_order
 from services.kit.zenoh_session import ECHO_QUALITY, LEASE_MS, zenoh_quality
 
-PERIOD_S: Final = (
-    0.5  # Time between two signs of life from one lane to another, unless a process needs more.
-)
-#: Age of a lane's last echo at which the process is unhealthy, seconds: as old as a silent link that Zenoh closes.
+# Time between two echoes from one lane to another, by default.
+PERIOD_S: Final = 0.5
+#: Age of a lane's last echo at which the process is unhealthy, seconds: as old as a silent link that
+#: Zenoh closes.
 SILENT_S: Final = LEASE_MS / 1000.0
-#: How long a lane stays silent, from `SILENT_S` on, before its process must end, seconds. When a router returns, Zenoh
-#: reaches it again by every lane within 2 s; on a machine with five times too much to do it took up to 6.1 s.
+#: How long a lane stays silent, from `SILENT_S` on, before its process must end, seconds. When a
+#: router returns, Zenoh reaches it again by every lane within 2 s. On a machine with five times too
+#: much load it took up to 6.1 s.
 DEAF_S: Final = 10.0
-_BYTES: Final = 8  # Size of a sign of life: nanoseconds of the monotonic clock.
+_BYTES: Final = 8  # Size of an echo: nanoseconds of the monotonic clock.
 Way = tuple[Lane, Lane]  # The lane that sends and the lane that receives.
 _WAYS: Final[tuple[Way, ...]] = tuple(permutations(LANES, 2))
 
 
 class LaneEcho:
-    """Measures how old the last echo of each lane is, with a thread of its own, until it is closed.
+    """Thread that measures the age of each lane's last echo, until it is closed.
 
     Parameters
     ----------
     role
-        Role of the process at the router, which lets no other role publish on these keys or subscribe to them.
+        Role of the process; the router lets no other role publish on these keys or subscribe to
+        them.
     connections
         The sessions of the process, by lane.
     """
@@ -48,10 +51,8 @@ class LaneEcho:
     def __init__(self, role: str, connections: Mapping[Lane, Connection]) -> None:
         self._period_s = PERIOD_S
         self._connections = connections
-        begun_s = (
-            time.monotonic()
-        )  # Every lane counts as proved when its session has just been opened.
-        #: When the newest sign of life was sent that has arrived.
+        begun_s = time.monotonic()  # A session that has just opened counts as proved.
+        #: Time at which the newest received echo was sent.
         self._sent_s = dict.fromkeys(_WAYS, begun_s)
         self._vain_s = dict.fromkeys(LANES, 0.0)
         self._declared: list[tuple[Connection, Declared[Any]]] = []
@@ -66,12 +67,12 @@ class LaneEcho:
         self._thread.start()
 
     def every(self, period_s: float) -> None:
-        """Have the lanes send each other signs of life this often, from now on."""
+        """Set the period of the echoes, seconds."""
         self._period_s = period_s
         self._news.set()
 
     def age_s(self, lane: Lane) -> float:
-        """Return how long ago the newest sign of life was sent that proves that a lane carries both ways, seconds."""
+        """Return the age of the newest echo that proves that a lane carries both ways, seconds."""
         sent_s = max(self._sent_s[way] for way in _WAYS if way[0] == lane)
         received_s = max(self._sent_s[way] for way in _WAYS if way[1] == lane)
         return time.monotonic() - min(sent_s, received_s)
@@ -83,11 +84,11 @@ class LaneEcho:
         )
 
     def deaf(self) -> tuple[Lane, ...]:
-        """Return the lanes that had no echo for `DEAF_S` more while a lane of this process had a router."""
+        """Return the lanes that stay silent for `DEAF_S` more while a router is connected."""
         return tuple(lane for lane in LANES if self._vain_s[lane] > DEAF_S)
 
     def close(self) -> None:
-        """Stop, and take back what was declared."""
+        """Stop, and withdraw the declarations."""
         self._ended = True
         self._news.set()
         self._thread.join()
@@ -124,14 +125,14 @@ class LaneEcho:
     def _run(self) -> None:
         while not self._ended:
             for publisher in self._publishers:
-                with suppress(zenoh.ZError):  # its session has just been replaced
+                with suppress(zenoh.ZError):  # The session has just been replaced.
                     publisher.entity.put(time.monotonic_ns().to_bytes(_BYTES, "big"))
             self._count()
             self._news.wait(self._period_s)
             self._news.clear()
 
     def _count(self) -> None:
-        """Count how long lanes have had no echo though there is a router; a frozen process counts no time."""
+        """Add up how long lanes lack an echo despite a router; a frozen process adds nothing."""
         silent = [lane for lane in LANES if self.age_s(lane) > SILENT_S]
         there = len(silent) < len(LANES) or any(map(self._has_router, LANES))
         for lane in LANES:

@@ -1,7 +1,7 @@
-"""When a process that cannot get memory ends, and how long a process that cannot go on may take to end.
+"""End of a process that lacks memory, and time limit for the cleanup of a process that fails.
 
-Once memory is gone, Zenoh's threads panic, and Python's threads end without a word. So a process ends while it has a
-reserve to tidy up with.
+When memory is exhausted, Zenoh's threads panic and Python's threads end silently. Therefore a
+process ends while it still has a reserve for its cleanup.
 """
 
 import os
@@ -11,26 +11,23 @@ from contextlib import contextmanager
 from mmap import MAP_ANONYMOUS, MAP_PRIVATE, mmap
 from typing import Final
 
-#: Memory that a process must be able to get at any time, bytes: twice the blocks by which glibc and Zenoh ask for more.
+#: Minimum available memory of a process, bytes: twice the block size of glibc and Zenoh.
 _RESERVE: Final = 8 << 20
-_ENDING_S: Final = (
-    15  # Time to tidy up after an error, seconds: more than a node waits for its threads.
-)
-_services: list[
-    object
-] = []  # Services that this process runs: one, and none in a command or a test.
+# Time limit of the cleanup, seconds: more than a node waits for its threads.
+_ENDING_S: Final = 15
+_services: list[object] = []  # Services of this process; empty in a command or a test.
 
 
 def check_memory() -> None:
-    """Raise OSError (ENOMEM) if the system, or a limit of this process, refuses the reserve; takes microseconds."""
+    """Raise OSError (ENOMEM) if the reserve is unavailable; takes microseconds."""
     mmap(-1, _RESERVE, flags=MAP_PRIVATE | MAP_ANONYMOUS).close()
 
 
 @contextmanager
 def service_process() -> Iterator[None]:
-    """Let `ends_soon` end this process.
+    """Enable `ends_soon` for this process.
 
-    Zenoh prints no stack when it panics without memory: that would wait for ever, with all of Python (Rust 1.93).
+    Disable Zenoh's backtraces: without memory they deadlock with all of Python (Rust 1.93).
     """
     os.environ["RUST_BACKTRACE"] = "0"
     _services.append(None)
@@ -43,9 +40,10 @@ def service_process() -> Iterator[None]:
 
 @contextmanager
 def ends_soon() -> Iterator[None]:
-    """Have the kernel end the process of a service that has not tidied up `_ENDING_S` after an error.
+    """Limit the cleanup of a service after an error to `_ENDING_S`.
 
-    Threads that failed may hold what tidying up waits for. An alarm takes neither memory nor a thread.
+    Failed threads can hold locks that the cleanup waits for. An alarm needs neither memory nor a
+    thread.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""Whether what takes long is to go on, asked between its steps; whoever does the steps need not know who may end it."""
+"""Cancellation of long work between its steps, independent of who cancels it."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -10,20 +10,20 @@ _ASK: Final[ContextVar[Callable[[], None]]] = ContextVar("go_on", default=lambda
 
 
 def each(items: Iterable[T]) -> Iterator[T]:
-    """Give items one after another for as long as the work of this thread is to go on."""
+    """Yield the items until the work of this thread is cancelled."""
     for item in items:
         go_on()
         yield item
 
 
 def go_on() -> None:
-    """Raise what ends the work of this thread if it is not to go on."""
+    """Raise the error that cancels the work of this thread, if it is cancelled."""
     _ASK.get()()
 
 
 @contextmanager
 def asking(ask: Callable[[], None]) -> Iterator[None]:
-    """Have ``each`` call something on this thread, which raises what ends the work."""
+    """Set the check of ``each`` on this thread; it raises an error to cancel the work."""
     token = _ASK.set(ask)
     try:
         yield

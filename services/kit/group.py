@@ -1,23 +1,29 @@
-"""Share out the robots of a fleet among the instances of a service, without a coordinator.
+"""Assign the robots of a fleet to the instances of a service, without a coordinator.
 
-- The names of the robots are known beforehand (`FleetSettings`). A name that arrives by the network is never served.
-- An instance declares a liveliness token of Zenoh at ``smal/<fleet>/@group/<service>/<instance>``, and one for each
-  robot that it serves, at that key with the robot's id behind it. The tokens of a killed process vanish at once, those
-  of a frozen or disconnected one after `zenoh_session.LEASE_MS`.
-- Rendezvous hashing over the announced instances assigns each robot to one of them: when an instance leaves, only its
-  robots move. The name of an instance ends with the number of robots that it serves, so a fleet can grow while it
-  drives, instance by instance.
-- An instance that loses a robot first closes its node and then withdraws the token. An instance that gains a robot
-  first declares its token, looks again, and opens a node if it sees no other token there. Of two instances that look,
-  at least one sees the other, so no frame is answered twice. Frames that arrive in between are lost.
-- An instance looks at all tokens every `LOOK_S`, in place of being sent each one: a flood of tokens cannot outrun it.
-- A token alone proves nothing: it stands while its process is frozen, and any holder of the role's key can declare it.
-  So every instance asks all others, and itself, every `ASK_S`. An instance counts while its last answer is not older
-  than `ANSWER_S`, and it answers while its main loop runs.
+- The names of the robots are known beforehand (`FleetSettings`). A name from the network is never
+  served.
+- An instance declares a liveliness token of Zenoh at ``smal/<fleet>/@group/<service>/<instance>``.
+  For each robot that it serves, it declares another token, at that key with the robot's id behind
+  it. The tokens of a killed process vanish at once, those of a frozen or disconnected process after
+  `zenoh_session.LEASE_MS`.
+- Rendezvous hashing over the announced instances assigns each robot to one of them: when an
+  instance leaves, only its robots move. The name of an instance ends with the number of robots that
+  it serves, so a fleet can grow while it drives, instance by instance.
+- An instance that loses a robot first closes its node and then withdraws the token. An instance
+  that gains a robot first declares its token, queries again, and opens a node if there is no other
+  token. Of two instances that query, at least one sees the other, so no frame is answered twice.
+  Frames that arrive in between are lost.
+- An instance queries all tokens every `LOOK_S` instead of subscribing to them: this bounds the load
+  by a flood of tokens.
+- A token alone proves nothing: it stands while its process is frozen, and any holder of the role's
+  key can declare it. So every instance queries all instances, itself included, every `ASK_S`. An
+  instance counts while its last answer is not older than `ANSWER_S`, and it answers while its main
+  loop runs.
 - An instance without an answer of its own releases the robots that others might take.
-- An answer names the robots that the instance serves. A robot that no answer names is reported by `/healthz`.
-- A service with a state to hand on publishes it (`schemas.snapshot`). Every instance keeps the newest snapshot of each
-  robot, and the node that gains the robot begins with it.
+- An answer names the robots that the instance serves. A robot that no answer names is reported by
+  `/healthz`.
+- A service with a state publishes it (`schemas.snapshot`). Every instance keeps the newest snapshot
+  of each robot, and the node that gains the robot begins with it.
 """
 
 import logging
@@ -46,18 +52,19 @@ from services.kit.settings import FleetSettings, fleet
 from services.kit.zenoh_session import LEASE_MS
 from services.table import role_of
 
-#: A belief that is older is of no use: the robot may have been carried elsewhere.
+#: Age at which a belief is useless: the robot can have been carried elsewhere.
 OLD_S: Final = 10.0
-ASK_S: Final = 0.25  # From one question to the others to the next.
-ANSWER_S: Final = 2.0  # An instance without an answer for so long is left out.
-#: A robot without an instance for so long makes the service unhealthy: an instance that is left out, and a move.
+ASK_S: Final = 0.25  # Period of the queries to the other instances.
+ANSWER_S: Final = 2.0  # Age of the last answer at which an instance is left out.
+#: Time without an instance at which the service is unhealthy: an instance that is left out, and a
+#: move.
 UNSERVED_S: Final = ANSWER_S + MOVE_S
-_STUCK_S: Final = 100.0  # A node that does not end within this time, at the end, is left to the end of its process.
+_STUCK_S: Final = 100.0  # Time limit for a node to end, after which the process ends without it.
 S = TypeVar("S", bound=FleetSettings)
 
 
 def share(instance: str, robots: Iterable[str], instances: Iterable[str]) -> set[str]:
-    """Return the robots of a fleet that are assigned to an instance, among the instances that serve enough robots."""
+    """Return the robots of an instance, among the instances that serve enough robots."""
     able = {one: int(one.rpartition("-")[2]) for one in instances}
     return {
         robot
@@ -67,7 +74,7 @@ def share(instance: str, robots: Iterable[str], instances: Iterable[str]) -> set
 
 
 def owner(robot: str, instances: Iterable[str]) -> str:
-    """Return the instance whose digest together with the robot is the highest; empty without instances."""
+    """Return the instance with the highest digest together with the robot; empty without instances."""
     return max(
         instances, key=lambda one: (blake2b(f"{one}/{robot}".encode()).digest(), one), default=""
     )
@@ -95,7 +102,7 @@ class Seen(NamedTuple):
         )
 
     def among(self, answering: frozenset[str]) -> "Seen":
-        """Return what is seen of instances that answer."""
+        """Return the view restricted to instances that answer."""
         serving = {robot: instances & answering for robot, instances in self.serving.items()}
         return Seen(
             self.instances & answering,
@@ -107,9 +114,10 @@ _NOTHING: Final = Seen(frozenset(), {})
 
 
 class Answer(Strict):
-    """What an instance answers to another one."""
+    """Answer of an instance to the others."""
 
-    robots: tuple[str, ...]  # The robots whose nodes it has opened.
+    # Robots whose nodes the instance has opened.
+    robots: tuple[str, ...]
 
 
 class Answers:
@@ -119,7 +127,7 @@ class Answers:
         self._last: dict[str, tuple[float, frozenset[str]]] = {}
 
     def note(self, instance: str, robots: Iterable[str], now_s: float) -> bool:
-        """Keep an answer; return whether it changes what is known."""
+        """Store an answer; return whether it changes the state."""
         before = self._last.get(instance)
         self._last[instance] = now_s, frozenset(robots)
         return (
@@ -127,19 +135,19 @@ class Answers:
         )
 
     def answering(self, now_s: float) -> frozenset[str]:
-        """Return the instances whose last answer is recent, and forget the others."""
+        """Return the instances whose last answer is recent, and drop the others."""
         self._last = {
             one: answer for one, answer in self._last.items() if now_s - answer[0] <= ANSWER_S
         }
         return frozenset(self._last)
 
     def served(self) -> frozenset[str]:
-        """Return the robots that instances answered to serve."""
+        """Return the robots that the answers name."""
         return frozenset().union(*(robots for _, robots in self._last.values()))
 
 
 class _Kept(NamedTuple):
-    """A snapshot as it came."""
+    """Snapshot as received."""
 
     payload: bytes
     encoding: str
@@ -147,10 +155,10 @@ class _Kept(NamedTuple):
 
 
 class _Served:
-    """A robot that is assigned to this instance: its token is declared, and later a thread runs its node."""
+    """Robot that is assigned to this instance: first its token, later a thread with its node."""
 
     def __init__(self, go: Callable[[], None]) -> None:
-        self.go = go  # Withdraws the token.
+        self.go = go
         self.since_s = time.monotonic()
         self.node: Node | None = None
         self.thread: threading.Thread | None = None
@@ -170,9 +178,14 @@ class _Served:
 
 
 class Group(Generic[S]):
-    """One instance of a service: it runs a node for each robot that is its own, by ``serve``, until it is stopped.
+    """Instance of a service that runs a node for each of its robots, by ``serve``, until stopped.
 
-    Raises BusError without a router or when a lane stays deaf, and the JobError of a node that fails.
+    Raises
+    ------
+    BusError
+        Without a router, or if a lane stays deaf.
+    JobError
+        If a node fails.
     """
 
     def __init__(self, name: str, settings: S, serve: Callable[[Node, S], None]) -> None:
@@ -183,8 +196,8 @@ class Group(Generic[S]):
         self.instance = f"{secrets.token_hex(4)}-{settings.robots}"
         self.robots = fleet(settings.robot, settings.robots)
         self._prefix = group_key(settings.robot, name)
-        self._seen = _NOTHING  # By the tokens that stood when it last looked.
-        self._thawed_s = -math.inf  # When it went on after a freeze.
+        self._seen = _NOTHING  # The tokens at the last query.
+        self._thawed_s = -math.inf  # End of the last freeze.
         self._served: dict[str, _Served] = {}
         self._kept: dict[str, _Kept] = {}
         self._failure: Exception | None = None
@@ -192,12 +205,12 @@ class Group(Generic[S]):
         self._ending = False
         self._answers = Answers()
         self._answering: frozenset[str] = frozenset()
-        self._answered = threading.Lock()  # Held to keep an answer, and to look at all.
+        self._answered = threading.Lock()  # Held to store an answer and to read all answers.
         self._looked_s = self._asked_s = -math.inf
-        self._served_s = dict.fromkeys(
-            self.robots, math.inf
-        )  # When each robot was last served by an instance.
-        self._elsewhere_s: dict[str, float] = {}  # When each robot was last seen served by another.
+        # Time at which each robot was last served by an instance.
+        self._served_s = dict.fromkeys(self.robots, math.inf)
+        # Time at which another instance last served each robot.
+        self._elsewhere_s: dict[str, float] = {}
         self._news = threading.Event()
         self._ended = threading.Event()
         self._looking = threading.Thread(target=self._keep_looking, name="tokens", daemon=True)
@@ -238,7 +251,8 @@ class Group(Generic[S]):
             self._bus.check()
             check_memory()
             if time.monotonic() - self._looked_s > LEASE_MS / 1000.0:
-                # After so long a freeze the others take this instance for dead, and what it has seen is old.
+                # After so long a freeze the others consider this instance dead, and its view is
+                # outdated.
                 self._seen = _NOTHING
                 self._thawed_s = time.monotonic()
             self._looked_s = time.monotonic()
@@ -251,7 +265,7 @@ class Group(Generic[S]):
             raise self._failure
 
     def _keep_looking(self) -> None:
-        """Look at the tokens of all instances, again and again, on a thread of its own."""
+        """Query the tokens of all instances periodically, on a separate thread."""
         while not self._ended.wait(LOOK_S):
             began_s = time.monotonic()
             seen = Seen.of(self._bus.look(f"{self._prefix}/**", ANSWER_S), self._prefix)
@@ -263,11 +277,11 @@ class Group(Generic[S]):
                 self._news.set()
 
     def _join_looking(self) -> None:
-        """Wait for the thread that looks; the closed bus has ended its question, also at a frozen router."""
+        """Wait for the querying thread; closing the bus ends its query, even at a frozen router."""
         if self._looking.ident is not None:
             self._looking.join()
 
-    # -- proof of life ------------------------------------------------------------------------------------------------
+    # -- proof of life -----------------------------------------------------------------------------
 
     def _tell(self) -> Answer | None:
         """Answer another instance, while the main loop runs or the nodes end."""
@@ -279,7 +293,7 @@ class Group(Generic[S]):
         )
 
     def _ask(self) -> None:
-        """Ask all instances, this one as well, whether they live and which robots they serve."""
+        """Query all instances, this one included, for the robots that they serve."""
         if self._looked_s - self._asked_s >= ASK_S:
             self._asked_s = self._looked_s
             self._bus.ask(f"{self._prefix}/*", self._take_answer, ANSWER_S)
@@ -296,7 +310,7 @@ class Group(Generic[S]):
                 self._news.set()
 
     def _look_at_answers(self) -> None:
-        """Note which instances answer, and when each robot was served."""
+        """Store which instances answer, and when each robot was served."""
         now_s = time.monotonic()
         with self._answered:
             self._answering = self._answers.answering(now_s)
@@ -304,11 +318,11 @@ class Group(Generic[S]):
         self._served_s |= {robot: now_s for robot in self.robots if robot in served}
 
     def stop(self) -> None:
-        """Make ``run`` return, soon; it takes no lock."""
+        """Make ``run`` return soon; takes no lock."""
         self._stopped = True
 
     def _settle(self, announced: Seen) -> None:
-        """Release the robots of other instances, and take the own ones that the others have released."""
+        """Release the robots of other instances, and take the own robots that the others released."""
         seen = announced.among(self._answering)
         self._here = here = self.instance in seen.instances
         others = {robot for robot, serving in seen.serving.items() if serving - {self.instance}}
@@ -327,10 +341,11 @@ class Group(Generic[S]):
                 self._take(robot, announced.serving[robot] == {self.instance})
 
     def _wanted(self, seen: Seen) -> set[str]:
-        """Return the robots that this instance serves, as far as the others release them."""
+        """Return the robots that this instance serves once the others release them."""
         if self._here:
             return share(self.instance, self.robots, seen.instances)
-        # No other instance can be asked. One that was alone goes on: its robot does not wait for the router.
+        # No other instance can be queried. A lone instance continues: its robot does not wait for
+        # the router.
         return set() if self._others else set(self._served)
 
     def _take(self, robot: str, alone: bool) -> None:
@@ -338,7 +353,7 @@ class Group(Generic[S]):
         mine = self._served[robot]
         if mine.thread is not None or not self._handed_on(robot):
             return
-        # An instance that is announced here and does not answer yet may serve the robot.
+        # An instance that is announced here and does not answer yet can serve the robot.
         if alone or time.monotonic() - mine.since_s > ANSWER_S:
             self._open(robot, mine)
 
@@ -349,7 +364,8 @@ class Group(Generic[S]):
             try:
                 with Node(self._name, settings, bus=self._bus, instance=self.instance) as node:
                     node.inherited = self._inherited(robot)
-                    node.every(KEPT_S, node.bus.forget)  # So an idle robot costs next to nothing.
+                    # So that an idle robot costs almost nothing.
+                    node.every(KEPT_S, node.bus.forget)
                     served.node = node
                     if not served.leaving:
                         self._serve(node, settings)
@@ -374,11 +390,11 @@ class Group(Generic[S]):
             served.leave()
 
     def _handed_on(self, robot: str) -> bool:
-        """Return whether the snapshot of a robot has arrived; it travels by another link than the tokens."""
+        """Return whether a robot's snapshot has arrived, by another link than the tokens."""
         since_s = time.monotonic() - self._elsewhere_s.get(robot, -math.inf)
         return self._name not in SNAPSHOTS or robot in self._kept or since_s > 2.0 * SNAPSHOT_S
 
-    # -- snapshots ----------------------------------------------------------------------------------------------------
+    # -- snapshots ---------------------------------------------------------------------------------
 
     def _keep_snapshots(self, until: ExitStack) -> None:
         topics = [SNAPSHOTS[self._name]] if self._name in SNAPSHOTS else []
@@ -393,21 +409,21 @@ class Group(Generic[S]):
             until.enter_context(closing(self._bus.of_robot(robot))).subscribe(topic, keep)
 
     def _inherited(self, robot: str) -> Snapshot | None:
-        """Return the snapshot of a robot, without a belief that is too old; None if there is no valid one."""
+        """Return the valid snapshot of a robot without an outdated belief, or None."""
         kept = self._kept.get(robot)
         if kept is None:
             return None
         try:
             snapshot: Snapshot = decode(Snapshot, kept.payload, kept.encoding)
             if key_of(snapshot) != SNAPSHOTS[self._name].key(robot):
-                raise DecodeError(f"it is of {snapshot.robot} and {snapshot.service}")
+                raise DecodeError(f"it belongs to {snapshot.robot} and {snapshot.service}")
         except DecodeError as error:
             self.log.warning("the snapshot of %s is refused: %s", robot, error)
             return None
         old = time.monotonic() - kept.arrived_s > OLD_S
         return snapshot.model_copy(update={"state": None}) if old else snapshot
 
-    # -- health -------------------------------------------------------------------------------------------------------
+    # -- health ------------------------------------------------------------------------------------
 
     def _nodes(self) -> list[Node]:
         return [
@@ -420,7 +436,7 @@ class Group(Generic[S]):
         return [node.metrics.registry for node in self._nodes()]
 
     def _ailment(self) -> str | None:
-        """Return the first fault: a silent link, a robot that no instance serves, or an unhealthy node."""
+        """Return the first fault: a silent link, a robot without an instance, or an unhealthy node."""
         if silent := self._bus.silent():
             return silence(silent)
         longest_s = time.monotonic() - UNSERVED_S

@@ -1,4 +1,4 @@
-"""What a service tells by HTTP: ``GET /healthz`` for whoever restarts services, ``GET /metrics`` for Prometheus."""
+"""Health over HTTP: ``GET /healthz`` for supervisors, ``GET /metrics`` for Prometheus."""
 
 import re
 import threading
@@ -18,26 +18,28 @@ from services.kit.errors import JobError
 if TYPE_CHECKING:
     from wsgiref.types import StartResponse, WSGIEnvironment
 
-#: Seconds that one piece of work may take, or wait, before the service counts as stuck. Rendering the first frame on a
-#: busy machine takes longer; a health check allows for it with its start period and retries.
+#: Time limit of one piece of work, and of its wait, before the service counts as stuck, seconds.
+#: Rendering the first frame on a busy machine takes longer; health checks allow for it by their
+#: start period and retries.
 STUCK_S: Final = 5.0
 BUCKETS_S: Final = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0)
-#: Connections at one time, each of which has a thread: those of a health check and of Prometheus, several times over.
+#: Maximum number of connections, each with a thread: several times those of a health check and
+#: Prometheus.
 MOST_CONNECTIONS: Final = 16
 _BY_TOPIC: Final = ("service", "robot", "topic")
 Labels = tuple[str, str]
-#: Fields of ``Status`` that count by topic, and what the metric says.
+#: Fields of ``Status`` with counts by topic, and the help of their metrics.
 _COUNTS: Final = {
-    "received": "Messages taken.",
-    "published": "Messages sent.",
-    "dropped": "Messages replaced by newer ones before they were taken.",
+    "received": "Messages received.",
+    "published": "Messages published.",
+    "dropped": "Messages replaced by newer messages before they were handled.",
     "bad": "Messages and requests refused as malformed.",
 }
-#: What takes time, by what it is told apart, and what the metric says.
+#: Durations, with their second label and the help of their metrics.
 _TIMES: Final = {
-    "transit": ("topic", "From the sender to here, by the clocks of both machines."),
-    "wait": ("topic", "From arrival until its turn in the queue."),
-    "work": ("topic", "Handling one message, its answers published."),
+    "transit": ("topic", "Transit from the sender, by the clocks of both machines."),
+    "wait": ("topic", "Wait in the queue."),
+    "work": ("topic", "Handling of one message, including the publishing of its answers."),
     "decision": (
         "source",
         "From a frame's readiness to the acceptance of its command, at the actuator.",
@@ -46,7 +48,7 @@ _TIMES: Final = {
 
 
 def ailment(status: Status) -> str | None:
-    """Return why a service is not healthy, in one line; None where it is."""
+    """Return why a service is unhealthy, in one line, or None."""
     if status.state != "ready":
         return status.state
     if not status.connected:
@@ -59,7 +61,7 @@ def ailment(status: Status) -> str | None:
 
 
 def silence(lanes: Collection[str]) -> str:
-    """Return what is wrong with a bus that is not connected, in one line, by its silent lanes."""
+    """Describe the outage of the bus in one line, by its silent lanes."""
     some = 0 < len(lanes) < len(LANES)
     return (
         f"no echo from the router by lane {', '.join(lanes)}"
@@ -69,9 +71,10 @@ def silence(lanes: Collection[str]) -> str:
 
 
 class Metrics(Collector):
-    """The metrics of one node, whose name and robot are labels of each; ``status`` tells the counts.
+    """Metrics of one node, labelled by its name and robot.
 
-    A hop from one service to the next is its transit on the bus, its wait in the queue and the work on it.
+    ``status`` returns the counts. A hop between two services consists of transit on the bus, wait
+    in the queue and work.
     """
 
     def __init__(self, service: str, robot: str, status: Callable[[], Status]) -> None:
@@ -94,15 +97,15 @@ class Metrics(Collector):
     def took(
         self, what: Literal["transit", "wait", "work", "decision"], of: str, seconds: float
     ) -> None:
-        """Count how long something took, of a topic or a source of commands."""
+        """Record the duration of a step, by topic or source of commands."""
         self._times[what].labels(*self._labels, of).observe(max(0.0, seconds))
 
     def describe(self) -> Iterator[Metric]:
-        """Name nothing beforehand: a registry would otherwise ask for the status before there is one."""
+        """Describe no metric in advance; otherwise the registry collects before a status exists."""
         return iter(())
 
     def collect(self) -> Iterator[Metric]:
-        """Turn the status into metrics."""
+        """Yield the status as metrics."""
         status = self._status()
         labels = self._labels
         for name, meaning in _COUNTS.items():
@@ -117,16 +120,16 @@ class Metrics(Collector):
         failures.add_metric(labels, status.failed)
         yield failures
         yield _gauge(
-            "smal_healthy", "Whether it gets its work done.", labels, ailment(status) is None
+            "smal_healthy", "Whether the service is healthy.", labels, ailment(status) is None
         )
         for name, value in status.detail.items():
             if isinstance(value, int | float):
                 metric = f"smal_{status.service}_{re.sub(r'[^a-zA-Z0-9_]', '_', name)}"
-                yield _gauge(metric, f"{name}, as the service tells it.", labels, value)
+                yield _gauge(metric, f"{name}, from the service's status.", labels, value)
 
 
 class Together(Collector):
-    """The metrics of all nodes of a process, each metric told once, with a line a robot."""
+    """Metrics of all nodes of a process, merged by name."""
 
     def __init__(self, registries: Callable[[], Iterable[CollectorRegistry]]) -> None:
         self._registries = registries
@@ -135,11 +138,11 @@ class Together(Collector):
         self.registry.register(self)
 
     def describe(self) -> Iterator[Metric]:
-        """Name nothing beforehand, as each of them does."""
+        """Describe no metric in advance, like the merged collectors."""
         return iter(())
 
     def collect(self) -> Iterator[Metric]:
-        """Put together what is of one name, but for what is of the process."""
+        """Merge the metrics by name, without those of the process."""
         together: dict[str, Metric] = {}
         for family in (family for registry in self._registries() for family in registry.collect()):
             together.setdefault(family.name, family)
@@ -163,9 +166,10 @@ def _gauge(name: str, meaning: str, labels: Labels, value: float) -> Metric:
 
 
 class _Server(ThreadingWSGIServer):
-    """Sends away who comes while too many are there, and says nothing of clients that went away."""
+    """Server with a limited number of connections that does not log disconnected clients."""
 
-    #: Of five, as the library has it, who comes sixth at one moment waits a second or more for TCP to try again.
+    #: With the library's default of 5, a sixth simultaneous client waits a second or more for TCP to
+    #: retry.
     request_queue_size = 128
 
     def __init__(self, *arguments: Any) -> None:  # noqa: ANN401 - as the library says
@@ -182,23 +186,39 @@ class _Server(ThreadingWSGIServer):
             self._room.release()
 
     def handle_error(self, *_request: object) -> None:
-        """Say nothing: what fails in an answer is told by who answers, and the rest is the client's."""
+        """Log nothing: the application logs its own errors, and the rest are the client's."""
 
 
 class _Handler(WSGIRequestHandler):
-    timeout = 5.0  #: A client that sends nothing is sent away after so many seconds.
+    timeout = 5.0  #: Timeout of a silent client, seconds.
 
     def log_message(self, *_arguments: object) -> None:
-        """Say nothing: a check every few seconds is no news."""
+        """Log nothing: a check every few seconds is no news."""
 
 
 def serve_http(
     address: str, ailment: Callable[[], str | None], metrics: CollectorRegistry
 ) -> WSGIServer:
-    """Answer on threads of its own, so that a busy service answers as well, and a frozen one does not.
+    """Serve HTTP on separate threads, so that a busy service answers and a frozen one does not.
 
-    The address is ``HOST:PORT``; without a host, every interface. ``ailment`` tells why the service is not healthy. The
-    server answers until its `shutdown`. Raises JobError when the port is taken or the host is none of this machine's.
+    Parameters
+    ----------
+    address
+        ``HOST:PORT``; without a host, all interfaces.
+    ailment
+        Returns why the service is unhealthy, or None.
+    metrics
+        Metrics to publish.
+
+    Returns
+    -------
+    WSGIServer
+        The server, which answers until its `shutdown`.
+
+    Raises
+    ------
+    JobError
+        If the port is taken or the host does not belong to this machine.
     """
     host, _, port = address.rpartition(":")
     tell = make_wsgi_app(metrics)

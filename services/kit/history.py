@@ -1,4 +1,4 @@
-"""A subscription to all that was sent: what its senders kept, what gets lost on the way, and what comes, in order."""
+"""Subscription with history: kept samples, lost samples and live samples, in order."""
 
 import re
 import threading
@@ -16,16 +16,15 @@ from services.kit.connection import Connection, Declared
 from services.kit.replay import Budget, Replay
 from services.kit.wire import Refused
 
-REPLAY_TIMEOUT_S: Final = (
-    10.0  # How long a sender that does not answer can hold up its own samples.
-)
-_AGAIN_S: Final = 0.5  # From one question that nobody answers to the next.
-#: How a publisher that keeps samples calls itself: its session, and its number there.
+# Timeout after which an unresponsive sender no longer delays its own samples.
+REPLAY_TIMEOUT_S: Final = 10.0
+_AGAIN_S: Final = 0.5  # Pause between two unanswered queries.
+#: Name of a publisher that keeps samples: its session and its number there.
 _SENDER_PATTERN: Final = r"[0-9a-f]{1,32}/[0-9]+(?=/|$)"
 
 
 def in_order(on_sample: Callable[[zenoh.Sample], None]) -> "zenoh.handlers.Callback[zenoh.Sample]":
-    """Make a callback that runs on the session's thread: one thread for each would lose the order between topics."""
+    """Create a callback that runs on the session's thread, which keeps the order of topics."""
     return zenoh.handlers.Callback(on_sample, indirect=False)
 
 
@@ -36,7 +35,7 @@ def _ask(
     end: Callable[[], None],
     until_s: float,
 ) -> None:
-    """Have what was kept sent; until then again where there is nothing: a sender is seen before it can be asked."""
+    """Fetch kept samples; retry until ``until_s``, since a new sender appears before it can answer."""
     came: list[bool] = []
 
     def take(reply: zenoh.Reply) -> None:
@@ -52,7 +51,7 @@ def _ask(
             again.daemon = True
             again.start()
 
-    with suppress(zenoh.ZError):  # it was closed meanwhile
+    with suppress(zenoh.ZError):
         connection.session.get(
             zenoh.Selector(keys, f"_time=[now(-{KEPT_S:g}s)..]"),
             zenoh.handlers.Callback(take, on_end, indirect=False),
@@ -69,11 +68,19 @@ def subscribe_whole(
     refused: Refused,
     budget: Budget,
 ) -> tuple[Declared[Any], Declared[Any]]:
-    """Call ``take`` for each sample of a key, also for those of the last ``topics.KEPT_S``; return what is declared."""
+    """Call ``take`` for each sample of a key, including the samples of the last ``topics.KEPT_S``.
+
+    Returns
+    -------
+    tuple of Declared
+        The two declarations.
+    """
     senders = f"{key}/@adv/pub"
     renewed: list[
         bool
-    ] = []  # One for each session: who had nothing to send is asked again from the second one on.
+        # One entry per session; from the second session on, senders without an answer are queried
+        # again.
+    ] = []
 
     def ask(name: str) -> None:
         def on_reply(sample: zenoh.Sample) -> None:
@@ -83,12 +90,12 @@ def subscribe_whole(
         until_s = time.monotonic() + (REPLAY_TIMEOUT_S if len(renewed) > 1 else 0.0)
         _ask(connection, f"{senders}/{name}/**", on_reply, lambda: replay.ended(name), until_s)
 
-    full = "no more room for what waits for what {} kept; the rest of that is left out"
+    full = "buffer full while fetching the history of {}; the rest of its history is skipped"
     replay = Replay(take, ask, budget, lambda name: refused(full.format(name)))
 
     def on_live(sample: zenoh.Sample) -> None:
         source = sample.source_info
-        if source is None:  # of a stranger, who keeps nothing
+        if source is None:  # Sender without a history.
             take(sample)
         else:
             name = f"{source.source_id.zid}/{source.source_id.eid}"
@@ -98,24 +105,24 @@ def subscribe_whole(
         if token.kind == zenoh.SampleKind.PUT:
             name = re.match(_SENDER_PATTERN, str(token.key_expr).removeprefix(f"{senders}/"))
             if name is None:
-                refused(f"no sender's sign of life: {printable(str(token.key_expr))}")
+                refused(f"invalid liveliness token: {printable(str(token.key_expr))}")
             else:
                 replay.met(name[0])
 
-    # First the subscription: nothing is lost between what a sender kept and what it sends from then on. What gets
-    # lost on the way, and in an outage, is noticed by its number, and asked for by Zenoh, in order.
+    # Subscribing first leaves no gap between kept and live samples. Zenoh detects samples lost on
+    # the way, or in an outage, by their numbers and fetches them in order.
     recovery = zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
 
-    def hear(session: zenoh.Session) -> zenoh.ext.AdvancedSubscriber[None]:
+    def subscribe(session: zenoh.Session) -> zenoh.ext.AdvancedSubscriber[None]:
         renewed.append(True)
         replay.hold()
         return zenoh.ext.declare_advanced_subscriber(
             session, key, in_order(on_live), recovery=recovery
         )
 
-    heard = connection.declare(hear)
+    subscription = connection.declare(subscribe)
     on_token = in_order(on_sender)
-    return heard, connection.declare(
+    return subscription, connection.declare(
         lambda session: session.liveliness().declare_subscriber(
             f"{senders}/**", on_token, history=True
         )

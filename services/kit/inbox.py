@@ -1,4 +1,4 @@
-"""Where everything that arrives waits for the one thread that handles it."""
+"""Queues between the receiving threads and the handling thread."""
 
 import threading
 import time
@@ -7,17 +7,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-#: Bytes that wait in one inbox. A recorder, in a container of 1 GiB, has to hold what is replayed at once after an
-#: outage: 30 s of frames as JPEG of half a megabyte are 150 MB, and all else is a few.
+#: Maximum bytes that wait in one inbox. After an outage a recorder, in a container of 1 GiB,
+#: receives the replay at once: 30 s of half-megabyte JPEG frames are 150 MB, and the other topics
+#: are a few.
 MOST_BYTES: Final = 256 << 20
 
 
 class Item(NamedTuple):
-    """What was taken from an inbox."""
+    """Item taken from an inbox."""
 
-    name: str  # Its queue.
+    name: str
     content: object
-    waited_s: float  # How long it waited, seconds.
+    waited_s: float  # Its time in the queue, seconds.
 
 
 class _Waiting(NamedTuple):
@@ -35,10 +36,10 @@ class _Queue:
 
 
 class Inbox:
-    """Bounded queues, one a name; filled by any thread, emptied in order of arrival by one.
+    """Bounded queues by name, filled by any thread and emptied in order of arrival by one thread.
 
-    A full queue gives up its oldest item, and counts it. When all together hold too many bytes, the one that holds most
-    of them does: whoever sends more than is handled loses their own, and nobody else's.
+    A full queue drops its oldest item, and counts it. When all queues together exceed the byte
+    limit, the largest queue drops items: a sender that sends too much loses only its own messages.
     """
 
     def __init__(
@@ -54,7 +55,7 @@ class Inbox:
         self.dropped: Counter[str] = Counter()
 
     def open(self, name: str, depth: int) -> None:
-        """Add a queue that keeps at most ``depth`` items."""
+        """Add a queue with at most ``depth`` items."""
         with self._ready:
             self._queues[name] = _Queue(depth)
 
@@ -64,22 +65,22 @@ class Inbox:
         with self._ready:
             queue = self._queues[name]
             if len(queue.items) == queue.depth:
-                self._give_up(name)
+                self._drop_oldest(name)
             queue.items.append(_Waiting(self._arrivals, now_s, item, size))
             queue.size += size
             self._size += size
             self._arrivals += 1
             while self._size > self._most_bytes:
-                self._give_up(max(self._queues, key=lambda name: self._queues[name].size))
+                self._drop_oldest(max(self._queues, key=lambda name: self._queues[name].size))
             self._ready.notify()
 
     def put_once(self, name: str) -> None:
-        """Add an item without content, unless one waits already."""
+        """Add an item without content, unless an item waits already."""
         with self._ready:
             if not self._queues[name].items:
                 self.put(name, None, 0)
 
-    def _give_up(self, name: str) -> None:
+    def _drop_oldest(self, name: str) -> None:
         self._pop(name)
         self.dropped[name] += 1
 
@@ -91,9 +92,9 @@ class Inbox:
         return oldest
 
     def wake(self) -> None:
-        """Make the ``take`` that waits, or else the next one, return at once."""
+        """Make the waiting ``take``, or else the next one, return at once."""
         with self._ready:
-            # Kept: a wake between the loop's look at the stop event and its wait would otherwise be lost.
+            # Stored, so that a wake just before the wait is not lost.
             self._woken = True
             self._ready.notify_all()
 
@@ -113,12 +114,12 @@ class Inbox:
         return Item(name, oldest.content, self._clock() - oldest.arrived_s)
 
     def waiting(self) -> dict[str, int]:
-        """Return how many items wait in each queue."""
+        """Return the number of waiting items by queue."""
         with self._ready:
             return {name: len(queue.items) for name, queue in self._queues.items()}
 
     def oldest_s(self) -> float:
-        """Return how long the oldest item has waited, 0 where none waits."""
+        """Return the age of the oldest item, 0 if the inbox is empty."""
         with self._ready:
             arrivals_s = [
                 queue.items[0].arrived_s for queue in self._queues.values() if queue.items

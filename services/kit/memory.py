@@ -1,7 +1,7 @@
-"""What glibc keeps of the memory that a process lets go of, so that a process which runs for days holds what it needs.
+"""Limit of the free memory that glibc keeps, for processes that run for days.
 
-Zenoh holds most during an outage, and what it then frees stays with the process: after seven outages features held
-171 MB in place of 143. Where there is no glibc nothing is done.
+Zenoh needs most memory during an outage, and glibc keeps the freed memory: after seven outages the
+features service held 171 MB in place of 143. Without glibc these functions have no effect.
 """
 
 import ctypes
@@ -14,12 +14,13 @@ from typing import Final
 
 from schemas.topics import KEPT_S
 
-_ARENA_MAX: Final = -8  # Of `mallopt`: in how many heaps threads allocate, by default eight a core.
+# Option of `mallopt`: number of heaps for all threads, by default eight per core.
+_ARENA_MAX: Final = -8
 
 
 @cache
 def keep_small() -> None:
-    """Have threads share one heap a core, and give back what is free now and then, on a thread of its own."""
+    """Limit threads to one heap per core, and return free memory periodically on a separate thread."""
     with suppress(AttributeError):
         ctypes.CDLL(None).mallopt(_ARENA_MAX, os.cpu_count() or 1)
     threading.Thread(target=_give_back_often, name="memory", daemon=True).start()
@@ -27,11 +28,11 @@ def keep_small() -> None:
 
 def _give_back_often() -> None:
     while True:
-        time.sleep(KEPT_S)  # What is kept over an outage is let go of then.
+        time.sleep(KEPT_S)  # Messages kept over an outage are released then.
         give_back()
 
 
 def give_back() -> None:
-    """Give the system what is free: within a millisecond where little is, within some 40 ms where 40 MB are."""
+    """Return free memory to the system: within 1 ms for little, within about 40 ms for 40 MB."""
     with suppress(AttributeError):
         ctypes.CDLL(None).malloc_trim(0)

@@ -1,4 +1,4 @@
-"""What the services that work with a learned model share: its settings, loading it, and the main function."""
+"""Shared parts of the services with a learned model: settings, loading and the main function."""
 
 import logging
 import os
@@ -28,64 +28,71 @@ from smal.model import Model
 from smal.paper.model import PaperModel
 from smal.planning import chosen_goal
 
-_DIGITS: Final = 16  # So many hex digits of a model's checksum tell one model from another.
+# Hex digits of a checksum that identify a model.
+_DIGITS: Final = 16
 Wheels = tuple[float, float, float]  # A pose by odometry: metres, metres and radians.
-#: Frames after which a run times out, at least; and how many times those of the longest taught drive.
+#: Timeout of a run in frames: a minimum, and a multiple of the longest taught drive.
 LEAST_TICKS = 3000
 PATIENCE = 3
 _log = logging.getLogger("models")
-AnyModel = Model | PaperModel  # Of either scheme.
+AnyModel = Model | PaperModel
 _MODELS: Final[WeakValueDictionary[tuple[int, ...], AnyModel]] = WeakValueDictionary()
 _READING: Final = threading.Lock()
 M_contra = TypeVar("M_contra", bound=Message, contravariant=True)
 
 
 class ModelSettings(RootSettings, FleetSettings):
-    """The model to start with, wherever it lies; another, below the root, is loaded by the queryable ``load``."""
+    """The model at the start, at any path; the queryable ``load`` loads another one below the root."""
 
     model: Path | None = None
     """Model file, made by `smal learn`."""
     scheme: Scheme | None = None
-    """For which scheme the model must have been learned, `filter` or `paper`; any if not given."""
+    """Scheme that the model must have been learned for, `filter` or `paper`; any by default."""
     stride: Annotated[int | None, Field(ge=1, le=1000)] = None
-    """Frames from one decision to the next in the paper's scheme; the model's sequence length if not given."""
+    """Frames between two decisions in the paper's scheme; the model's sequence length by default.
+    """
     goal: GoalName | None = None
-    """Where to go, in a model with several goals."""
+    """Goal of the run, in a model with several goals."""
 
 
 def most_ticks(longest: int) -> int:
-    """Return the frames after which a run times out, by those of the longest taught drive."""
+    """Return the timeout of a run in frames, for the length of the longest taught drive."""
     return min(max(LEAST_TICKS, PATIENCE * longest), MAX_TICKS)
 
 
 def identity_of(model: AnyModel) -> str:
-    """Return the name by which messages and health tell of a model: the beginning of its checksum."""
+    """Return the name of a model in messages and health: the beginning of its checksum."""
     return model.checksum[:_DIGITS]
 
 
 def refused(
     model: AnyModel, scheme: Scheme | None, stride: int | None, goal: str | None
 ) -> str | None:
-    """Say in one line why a model cannot be used by a scheme with a stride to go to a goal, or None."""
+    """Return in one line why a model does not support scheme, stride or goal, or None."""
     if scheme not in (None, model.scheme):
         command = "smal paper learn" if scheme == "paper" else "smal learn"
-        return f"it was learned for the scheme {model.scheme!r}, not {scheme!r}; learn again with `{command}`"
+        return (
+            f"scheme {model.scheme!r} of the model is not {scheme!r}; learn again with `{command}`"
+        )
     if isinstance(model, Model):
         if stride not in (None, 1):
-            return f"stride {stride}: the filter decides at every frame; for a stride use `smal paper learn`"
+            return (
+                f"stride {stride}: the filter decides at every frame; "
+                "for a stride use `smal paper learn`"
+            )
         try:
             chosen_goal(model.mapped.goals, goal)
         except ValueError as error:
             return str(error)
     elif goal is not None:
-        return f"goal {goal!r}: the paper's scheme goes to the nearest goal, whatever its name"
+        return f"goal {goal!r}: the paper's scheme always goes to the nearest goal"
     elif stride is not None and stride > model.sequence_length:
         return f"stride must be 1 to the sequence length {model.sequence_length}, got {stride}"
     return None
 
 
 def load_model(path: Path) -> AnyModel:
-    """Read the model at a path; ModelError as of `Stored.read`."""
+    """Read the model at a path; ModelError as in `Stored.read`."""
     try:
         descriptor = open_regular(path)
     except OSError as error:
@@ -95,32 +102,30 @@ def load_model(path: Path) -> AnyModel:
 
 
 def _read(file: IO[bytes], name: str) -> AnyModel:
-    """Read an open file, or return the model that was made of it: the robots of a process share one map.
+    """Read an open file once: all robots of a process share one model.
 
-    A file that has the same size and times is the same. Of a file that is rewritten, the loaded model keeps the old
-    content (`smal.files.held`).
+    A file with the same size and times counts as the same. If a file is rewritten, the loaded model
+    keeps the old content (`smal.files.held`).
     """
     with _READING:
-        told = os.fstat(file.fileno())
-        identity = told.st_dev, told.st_ino, told.st_size, told.st_mtime_ns, told.st_ctime_ns
+        stat = os.fstat(file.fileno())
+        identity = stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns
         if (model := _MODELS.get(identity)) is None:
-            model = _MODELS[identity] = cast(
-                "AnyModel", Stored.read(file, name)
-            )  # There is no third scheme.
+            # The two schemes are the only ones.
+            model = _MODELS[identity] = cast("AnyModel", Stored.read(file, name))
         return model
 
 
 @dataclass(frozen=True)
 class LoadedModel:
-    """A model that a service may work with."""
+    """Model that a service works with."""
 
     model: AnyModel
-    name: str  # Its file: the path in the settings, or the name that a call gave.
-    stride: int  # Frames from one decision to the next; 1 but for the paper's scheme.
-    goal: str | None  # Where to go; None for the only goal.
-    asked: LoadRequest | None = (
-        None  # By which call it was loaded; None for the model of the settings.
-    )
+    name: str  # Its file: the path in the settings, or the name in a call.
+    stride: int  # Frames between two decisions; 1 except in the paper's scheme.
+    goal: str | None  # Goal of the run; None for the only goal.
+    # Call that loaded it; None for the model of the settings.
+    asked: LoadRequest | None = None
 
     @property
     def identity(self) -> str:
@@ -136,7 +141,7 @@ class LoadedModel:
         stride: int | None = None,
         goal: str | None = None,
     ) -> Self:
-        """Work with a model. Raises ServiceError when it cannot be used so."""
+        """Check a model for its use; ServiceError if it is unsuitable."""
         if (refusal := refused(model, scheme, stride, goal)) is not None:
             raise ServiceError(f"{name}: {refusal}")
         return cls(
@@ -151,7 +156,7 @@ class LoadedModel:
         stride: int | None = None,
         goal: str | None = None,
     ) -> Self:
-        """Read the model that whoever started the service named. Raises ServiceError when it cannot be used so."""
+        """Read the model of the settings; ServiceError if it is unsuitable."""
         try:
             return cls.of(load_model(path), str(path), scheme, stride, goal)
         except ModelError as error:
@@ -159,14 +164,14 @@ class LoadedModel:
 
     @classmethod
     def named(cls, request: LoadRequest, root: Path) -> Self:
-        """Read the model that a call names; ServiceError when it is of no use, which says nothing of other files."""
+        """Read the model that a call names; ServiceError, without other files, if unsuitable."""
         try:
             with open_below(root, request.model) as file:
                 model = _read(file, request.model)
         except (OSError, NoModelError) as error:
             _log.warning("model %r: %s", request.model, error)
             raise ServiceError(
-                f"no model {printable(request.model)!r} below the root of this service"
+                f"model {printable(request.model)!r} not found below the root of this service"
             ) from None
         except ModelError as error:
             raise ServiceError(str(error)) from None
@@ -176,11 +181,11 @@ class LoadedModel:
         )
 
     def reply(self) -> LoadReply:
-        """Tell who asked for it what was loaded."""
+        """Return the reply to the call that loaded it."""
         return LoadReply(scheme=self.model.scheme, stride=self.stride, **self._size())
 
     def detail(self) -> Detail:
-        """Tell of the model in the service's status."""
+        """Return the model's part of the service's status."""
         known: Detail = {
             "model": self.name,
             "checksum": self.identity,
@@ -196,7 +201,7 @@ class LoadedModel:
 
 
 class ModelService(Protocol[M_contra]):
-    """What ``serve_model`` needs of a service."""
+    """Service that ``serve_model`` runs."""
 
     def load(self, loaded: LoadedModel) -> LoadReply:
         """Work with another model from now on."""
@@ -205,23 +210,23 @@ class ModelService(Protocol[M_contra]):
         """Answer a message."""
 
     def detail(self) -> Detail:
-        """Tell how the service is."""
+        """Return the service's part of the status."""
 
     def hands_on(self) -> tuple[State, Wheels | None] | None:
-        """Return the last state and the odometry of its frame, for who goes on from there; None where there is none."""
+        """Return the last state and the odometry of its frame, for the next instance, or None."""
 
     def resume(self, state: State, wheels: Wheels | None) -> None:
-        """Go on from what another instance, with the same model, has handed on."""
+        """Continue from the state of another instance with the same model."""
 
     @property
     def loaded(self) -> LoadedModel | None:
-        """The model that it works with."""
+        """The model in use."""
 
 
 def serve_loads(
     node: Node, service: ModelService[M_contra], root: Path, then: Callable[[], None] = lambda: None
 ) -> None:
-    """Load the models that calls name below a root; when one is refused, go on with the one before."""
+    """Load models below a root by calls; a refused model leaves the current model in use."""
 
     def load(request: LoadRequest) -> LoadReply:
         reply = service.load(LoadedModel.named(request, root))
@@ -235,39 +240,40 @@ def serve_loads(
 def serve_model(
     node: Node, settings: ModelSettings, service: ModelService[M_contra], topic: Topic
 ) -> None:
-    """Load the model of the settings, or that of who served the robot before, and handle a topic until stopped."""
-    handed = node.inherited
-    if handed is not None and handed.model is not None:
+    """Load the model of the settings or the previous instance, and handle a topic."""
+    inherited = node.inherited
+    if inherited is not None and inherited.model is not None:
         try:
-            service.load(LoadedModel.named(handed.model, settings.root))
+            service.load(LoadedModel.named(inherited.model, settings.root))
         except ServiceError as error:
-            node.log.error("the model that %s went by is not at hand here: %s", node.robot, error)  # noqa: TRY400 - one line
+            node.log.error("cannot load the previous model of %s: %s", node.robot, error)  # noqa: TRY400 - one line
     elif settings.model is not None:
         service.load(
             LoadedModel.read(settings.model, settings.scheme, settings.stride, settings.goal)
         )
-    if handed is not None and handed.state is not None and service.loaded is not None:
-        if handed.checksum == handed.state.model == service.loaded.identity:
-            service.resume(handed.state, handed.wheels)
+    if inherited is not None and inherited.state is not None and service.loaded is not None:
+        if inherited.checksum == inherited.state.model == service.loaded.identity:
+            service.resume(inherited.state, inherited.wheels)
         else:
-            node.log.warning("the snapshot of %s belongs to model %s", node.robot, handed.checksum)
+            node.log.warning(
+                "the snapshot of %s belongs to model %s", node.robot, inherited.checksum
+            )
 
-    def hand_on() -> None:
+    def publish_snapshot() -> None:
         node.publish(_snapshot(node, service))
 
-    serve_loads(
-        node, service, settings.root, hand_on
-    )  # At once: a model that was said to be loaded is not forgotten.
+    # At once, so that the next instance uses a model that was confirmed as loaded.
+    serve_loads(node, service, settings.root, publish_snapshot)
     node.subscribe(topic, service.handle)
-    node.every(SNAPSHOT_S, hand_on)
+    node.every(SNAPSHOT_S, publish_snapshot)
     name = None if service.loaded is None else service.loaded.name
     node.log.info("model %s", name or f"not loaded yet; waiting for rpc/{node.name}/load")
     node.spin()
-    hand_on()
+    publish_snapshot()
 
 
 def _snapshot(node: Node, service: ModelService[M_contra]) -> Snapshot | None:
-    """Return what whoever serves the robot next goes on from; None without a model."""
+    """Return the snapshot for the next instance; None without a model."""
     if service.loaded is None:
         return None
     state, wheels = service.hands_on() or (None, None)
@@ -281,11 +287,11 @@ def _snapshot(node: Node, service: ModelService[M_contra]) -> Snapshot | None:
         header = {name: getattr(state, name) for name in header}
     checksum = service.loaded.identity
     model = service.loaded.asked
-    told = {
+    fields = {
         "service": node.name,
         "checksum": checksum,
         "model": model,
         "state": state,
         "wheels": wheels,
     }
-    return Snapshot.model_validate(header | told)
+    return Snapshot.model_validate(header | fields)

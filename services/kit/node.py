@@ -1,7 +1,7 @@
-"""What every service needs to be a good process: signals, health, and one loop.
+"""Process of a service: signals, health, and one event loop.
 
-A service gives its handlers to a ``Node``; everything that arrives (messages, requests, timers) is handled on the
-one thread that calls ``spin``, so a service needs no locks.
+The handlers of a ``Node`` run on the one thread that calls ``spin``, for messages, requests and
+timers alike. A service therefore needs no locks.
 """
 
 import logging
@@ -36,15 +36,14 @@ from services.kit.throttle import Throttle
 from services.table import role_of
 
 REQUEST_QUEUE: Final = 64
-#: How long threads may take to end when a node closes; they end with the process in any case.
+#: Time limit for threads to end when a node closes; they end with the process in any case.
 _LAST_WORK_S: Final = 10.0
-#: How often a loop that waits looks whether it was stopped, seconds: a signal just before a wait does not end it, and
-#: Python calls its handler only after the wait.
+#: How often a waiting loop checks whether it was stopped, seconds. A signal just before a wait does
+#: not end it, since Python calls the handler only after the wait.
 LOOK_S: Final = 0.2
-SNAPSHOT_S: Final = 1.0  # How often a node publishes what it would hand on.
-_SOON: Final = (
-    "soon/"  # Queues of what is to be done soon, which are no topics and tell nobody anything.
-)
+SNAPSHOT_S: Final = 1.0  # Period of the published snapshots.
+# Prefix of internal queues, which are excluded from the status.
+_SOON: Final = "soon/"
 M = TypeVar("M", bound=Message)
 R = TypeVar("R", bound=Strict)
 A = TypeVar("A")
@@ -52,7 +51,7 @@ Detail = dict[str, str | int | float | bool | None]
 
 
 class ServiceError(JobError):
-    """A service cannot do what was asked; whoever asked is told."""
+    """Refusal of a service, whose text reaches the caller."""
 
 
 @dataclass
@@ -63,9 +62,10 @@ class _Timer:
 
 
 def on_signals(log: logging.Logger, stop: Callable[[], None]) -> None:
-    """Call ``stop`` on SIGTERM, SIGINT and, unless started with ``nohup``, SIGHUP (the terminal was closed).
+    """Call ``stop`` on SIGTERM, SIGINT and, unless started with ``nohup``, SIGHUP (closed terminal).
 
-    It may take no lock, which the interrupted thread might hold; loops look at what it sets by themselves.
+    ``stop`` must not take a lock, which the interrupted thread can hold. Loops check its flag
+    themselves.
     """
 
     def on_signal(number: int, _frame: FrameType | None) -> None:
@@ -78,12 +78,18 @@ def on_signals(log: logging.Logger, stop: Callable[[], None]) -> None:
 
 
 class Node:
-    """One process on the bus, by the name of its service, which is part of the keys of its queryables.
+    """Process on the bus, named after its service.
 
-    Handlers take one message and return the messages to publish (or None). They run one at a time, on the thread
-    that calls ``spin``. An exception in a handler is logged and counted; the node goes on. Raises BusError when there
-    is no router within ``patience_s``, JobError when ``settings.http`` cannot be listened on. Nodes of several robots
-    in one process share the ``bus`` of that process.
+    Handlers take one message and return the messages to publish (or None). They run one at a time,
+    on the thread that calls ``spin``. An exception in a handler is logged and counted; the node
+    continues. Nodes of several robots in one process share its ``bus``.
+
+    Raises
+    ------
+    BusError
+        If no router accepts the connection within ``patience_s``.
+    JobError
+        If ``settings.http`` is unavailable.
     """
 
     def __init__(
@@ -97,7 +103,7 @@ class Node:
     ) -> None:
         self.name = name
         self.robot = settings.robot
-        #: Which process this is: drawn anew at every start, for those who have to tell two of a name apart.
+        #: Random id of the process, to distinguish processes of the same name.
         self.session = secrets.token_hex(8)
         self.log = logging.getLogger(name)
         self.bus = (
@@ -105,21 +111,19 @@ class Node:
             if bus is None
             else bus.of_robot(settings.robot)
         )
-        self.instance = instance  # Which instance of a group it belongs to, if any.
-        self.inherited: Snapshot | None = (
-            None  # What the instance that served the robot before has handed on.
-        )
+        self.instance = instance  # Instance of a group that it belongs to, if any.
+        # Snapshot of the instance that served the robot before.
+        self.inherited: Snapshot | None = None
         self.detail: Callable[[], Detail] = dict
         robots = settings.robots if isinstance(settings, FleetSettings) else 1
-        self._inbox = Inbox(
-            most_bytes=MOST_BYTES // robots
-        )  # What one robot sends is never at the cost of another.
+        # The messages of one robot cannot displace those of another.
+        self._inbox = Inbox(most_bytes=MOST_BYTES // robots)
         self._handlers: dict[str, Callable[[object], None]] = {}
         self._timers: list[_Timer] = []
         self._apart: list[threading.Thread] = []
         self._closed = threading.Event()
         self._stop = threading.Event()
-        self._failure: Exception | None = None  # The error, of any thread, that ends the process.
+        self._failure: Exception | None = None  # Error of any thread that ends the process.
         self._state: Literal["starting", "ready", "stopping"] = "starting"
         self._started_s = self._worked_s = time.monotonic()
         self._began_s: float | None = None
@@ -127,9 +131,7 @@ class Node:
         self._published: Counter[str] = Counter()
         self._bad: Counter[str] = Counter()
         self._complaints: defaultdict[tuple[str, str], Throttle] = defaultdict(Throttle)
-        self._counting = (
-            threading.Lock()
-        )  # Held to count what goes wrong, which is noticed on several threads.
+        self._counting = threading.Lock()  # Held to count errors, which occur on several threads.
         self._failed = 0
         self.metrics = Metrics(name, settings.robot, self.status)
         self._http = None
@@ -144,7 +146,7 @@ class Node:
             partial(self._refuse, "rpc/status"),
         )
 
-    # -- wiring ---------------------------------------------------------------------------------------------------
+    # -- wiring ------------------------------------------------------------------------------------
 
     def subscribe(
         self,
@@ -154,7 +156,19 @@ class Node:
         *,
         replay: bool = False,
     ) -> None:
-        """Handle every message of a topic; ``depth`` overrides how many wait, and ``replay`` is that of the bus."""
+        """Handle every message of a topic.
+
+        Parameters
+        ----------
+        topic
+            Topic to subscribe to.
+        handler
+            Called with each message; returns the messages to publish.
+        depth
+            Length of the queue; the topic's by default.
+        replay
+            See `Bus.subscribe`.
+        """
         self._inbox.open(topic.name, depth or topic.queue)
         refuse = partial(self._refuse, topic.name)
         read = self._reader(topic, handler, refuse)
@@ -175,7 +189,7 @@ class Node:
         handler: Callable[[M], None],
         otherwise: Callable[[], None] = lambda: None,
     ) -> None:
-        """Handle a topic on the bus's thread, before all that waits; ``otherwise`` is called for what is no message."""
+        """Handle a topic on the bus's thread, ahead of the queue; ``otherwise`` for bad ones."""
 
         def refuse(why: str) -> None:
             otherwise()
@@ -192,7 +206,7 @@ class Node:
     def _reader(
         self, topic: Topic, handler: Callable[[M], A], refuse: Refused
     ) -> Callable[[bytes, str], A | None]:
-        """Make what hands a payload to a handler, and counts it, as received or as bad."""
+        """Create a function that decodes a payload for a handler, and counts it."""
 
         def read(payload: bytes, encoding: str) -> A | None:
             try:
@@ -217,9 +231,10 @@ class Node:
         *,
         at_once: bool = False,
     ) -> None:
-        """Answer the calls of ``rpc/<name>/<verb>``; a ``ServiceError`` in the handler is the caller's to read.
+        """Answer calls of ``rpc/<name>/<verb>``; the text of a ``ServiceError`` reaches the caller.
 
-        ``at_once``: on the bus's own thread, before all that waits; the handler must return at once.
+        With ``at_once`` the handler runs on the bus's thread, ahead of the queue, and must return
+        at once.
         """
         name = f"rpc/{verb}"
         self._inbox.open(name, REQUEST_QUEUE)
@@ -250,7 +265,7 @@ class Node:
         self.bus.serve(self.name, verb, take, partial(self._refuse, name))
 
     def soon(self, handler: Callable[[], object]) -> Callable[[], None]:
-        """Return what any thread may call to have ``handler`` called on the node's thread, once for all that called."""
+        """Return a thread-safe trigger of ``handler`` on the node's thread; pending triggers merge."""
         name = f"{_SOON}{len(self._handlers)}"
         self._inbox.open(name, 1)
 
@@ -261,24 +276,24 @@ class Node:
         return lambda: self._inbox.put_once(name)
 
     def waits(self, topic: Topic) -> bool:
-        """Whether a message of a topic has come that is not yet handled."""
+        """Return whether a message of a topic waits to be handled."""
         return self._inbox.waiting().get(topic.name, 0) > 0
 
     def idle(self) -> bool:
-        """Whether all that has come is handled."""
+        """Return whether all received messages are handled."""
         return not any(self._inbox.waiting().values())
 
     def every(self, period_s: float, handler: Callable[[], object]) -> None:
-        """Call ``handler`` every ``period_s`` seconds; periods missed while busy are not made up."""
+        """Call ``handler`` every ``period_s`` seconds; periods missed while busy are skipped."""
         self._timers.append(_Timer(period_s, handler, time.monotonic() + period_s))
 
     @property
     def own_fault(self) -> str:
-        """What others are told of an exception that is a bug here: it means nothing to them, and stands in the log."""
-        return f"internal error; the log of {self.name} says more"
+        """Answer to a caller after a bug in this service; the log has the details."""
+        return f"internal error; see the log of {self.name}"
 
     def apart(self, period_s: float, handler: Callable[[], Message | None]) -> None:
-        """Publish what ``handler`` returns every ``period_s``, on a thread of its own, until the node closes."""
+        """Publish the results of ``handler`` every ``period_s`` on a separate thread, until closed."""
 
         def repeat() -> None:
             while not self._closed.wait(period_s):
@@ -291,12 +306,12 @@ class Node:
         self._apart.append(thread)
         thread.start()
 
-    # -- work -----------------------------------------------------------------------------------------------------
+    # -- work --------------------------------------------------------------------------------------
 
     def publish(self, messages: Message | Iterable[Message] | None) -> None:
-        """Send one message, several, or none."""
+        """Publish the messages."""
         for message in [messages] if isinstance(messages, Message) else messages or ():
-            # Signed here, so that the robot can tell two senders of one kind apart, and none forgets to.
+            # Signed centrally, so that the robot can always distinguish two senders of one kind.
             signed = (
                 message.model_copy(update={"session": self.session})
                 if isinstance(message, Command)
@@ -308,9 +323,14 @@ class Node:
     def spin(
         self, until: Callable[[], bool] = lambda: False, timeout_s: float | None = None
     ) -> bool:
-        """Handle what arrives until ``until()`` holds (True), the time is over or the node is stopped (False).
+        """Handle what arrives until ``until()`` holds (True), or until a timeout or stop (False).
 
-        Raises BusError when a lane of the bus stays deaf, and MemoryError or OSError when there is no memory left.
+        Raises
+        ------
+        BusError
+            If a lane of the bus stays deaf.
+        MemoryError, OSError
+            If memory is exhausted.
         """
         with ends_soon():
             return self._spin(until, timeout_s)
@@ -336,7 +356,7 @@ class Node:
         return False
 
     def drain(self) -> None:
-        """Handle what had arrived before the node was stopped."""
+        """Handle the items that arrived before the node was stopped."""
         while (item := self._inbox.take(0.0)) is not None:
             self._handle(item)
 
@@ -346,7 +366,7 @@ class Node:
         self._inbox.wake()
 
     def stop_on_signals(self) -> None:
-        """Stop on SIGTERM and SIGINT, and on SIGHUP (the terminal was closed) unless started with ``nohup``."""
+        """Stop on the signals of `on_signals`."""
         on_signals(self.log, self._stop.set)
 
     def _handle(self, item: Item | None) -> None:
@@ -381,12 +401,12 @@ class Node:
                 self._failed += 1
                 due = self._complaints["failed", name].due()
             if due:
-                # A bug is told with its place; what a service says of itself is enough as it is.
+                # Bugs are logged with their traceback, refusals of a service with their text only.
                 bug = None if isinstance(error, ServiceError) else error
                 level = logging.WARNING if bug is None else logging.ERROR
                 self.log.log(
                     level,
-                    "handling %s failed (%d failures so far): %s",
+                    "handling %s failed (%d failures in total): %s",
                     name,
                     self._failed,
                     error,
@@ -394,18 +414,18 @@ class Node:
                 )
 
     def _refuse(self, name: str, why: str) -> None:
-        """Count and tell of what is no message or request; any thread may call."""
+        """Count and log an invalid message or request; thread-safe."""
         with self._counting:
             self._bad[name] += 1
             count = self._bad[name]
             due = self._complaints["bad", name].due()
         if due:
-            self.log.warning("dropped a bad message on %s (%d so far): %s", name, count, why)
+            self.log.warning("dropped an invalid message on %s (%d in total): %s", name, count, why)
 
-    # -- health ---------------------------------------------------------------------------------------------------
+    # -- health ------------------------------------------------------------------------------------
 
     def status(self) -> Status:
-        """Return how this node is; safe to call from any thread."""
+        """Return the state of this node; thread-safe."""
         now = time.monotonic()
         silent = self.bus.silent()
         return Status(
@@ -432,7 +452,7 @@ class Node:
         )
 
     def close(self) -> None:
-        """Leave the bus, once; what works apart has a while to end."""
+        """Leave the bus, once; separate threads have `_LAST_WORK_S` to end."""
         if self._closed.is_set():
             return
         self._closed.set()

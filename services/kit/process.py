@@ -1,4 +1,4 @@
-"""How the process of a service starts, and ends where it cannot."""
+"""Start of a service's process, and its end after a failure."""
 
 import logging
 import os
@@ -20,14 +20,14 @@ from services.kit.settings import FleetSettings, ServiceSettings
 
 EXIT_FAILED: Final = 1
 EXIT_USAGE: Final = 2
-#: Loggers of those that catch whatever a callback of ours raises.
+#: Loggers of libraries that catch the exceptions of callbacks.
 _CATCHERS: Final = ("zenoh.handlers", "bus", "asyncio", "uvicorn.error")
 S = TypeVar("S", bound=ServiceSettings)
 F = TypeVar("F", bound=FleetSettings)
 
 
 def read_settings(cls: type[S], service: str) -> S:
-    """Read settings from flags and environment; exit with status 2 and one line where they are wrong."""
+    """Read settings from flags and environment; exit with one line if they are invalid."""
     try:
         return cls(_cli_parse_args=True, _cli_prog_name=f"python -m services.{service}")
     except ValidationError as error:
@@ -36,7 +36,7 @@ def read_settings(cls: type[S], service: str) -> S:
 
 
 def configure_logging(level: str) -> None:
-    """Log to standard error, one line an event."""
+    """Log to standard error, one line per event."""
     logging.basicConfig(
         level=level.upper(), stream=sys.stderr, format="%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s",
         datefmt="%H:%M:%S", force=True,
@@ -44,7 +44,7 @@ def configure_logging(level: str) -> None:
 
 
 def run_node(name: str, settings: type[S], serve: Callable[[Node, S], None]) -> None:
-    """Run a service that is one node, by its settings; it ends on a signal."""
+    """Run a service with a single node until a signal."""
 
     def run() -> None:
         given = read_settings(settings, name)
@@ -57,7 +57,7 @@ def run_node(name: str, settings: type[S], serve: Callable[[Node, S], None]) -> 
 
 
 def run_group(name: str, settings: type[F], serve: Callable[[Node, F], None]) -> None:
-    """Run an instance of a service that may run any number of times, by its settings; it ends on a signal."""
+    """Run an instance of a grouped service until a signal."""
 
     def run() -> None:
         given = read_settings(settings, name)
@@ -70,10 +70,10 @@ def run_group(name: str, settings: type[F], serve: Callable[[Node, F], None]) ->
 
 
 def run_service(name: str, serve: Callable[[], None]) -> None:
-    """Run a service's main function; a failure is one line and an exit status.
+    """Run a service's main function; a failure ends with one line and an exit status.
 
-    A thread that fails ends the process, and so does a callback that lacks memory: their work would be missing from
-    then on, and a new process does it again.
+    A thread that fails ends the process, and so does a callback that lacks memory. Their work is
+    missing from then on, while a new process resumes it.
     """
     try:
         with _ended_by_threads(name), service_process():
@@ -82,12 +82,11 @@ def run_service(name: str, serve: Callable[[], None]) -> None:
         logging.getLogger(name).error("%s", error)  # noqa: TRY400 - one clear line is what an operator needs
         raise SystemExit(EXIT_FAILED if isinstance(error, JobError) else EXIT_USAGE) from None
     except BaseException as error:
-        # A panic of Zenoh, in tidying up, hides the error that came first.
+        # A panic of Zenoh during the cleanup hides the first error.
         if any(map(out_of_memory, _with_causes(error))):
             _end(name, NO_MEMORY)
-        if (
-            type(error).__name__ == "PanicException"
-        ):  # Of Zenoh: it has printed where, and cannot be closed.
+        # Zenoh has printed the location, and cannot be closed.
+        if type(error).__name__ == "PanicException":
             _end(name, f"{error}; this process ends and must be started again")
         raise
 
@@ -123,7 +122,7 @@ def _end_by_thread(name: str, failed: threading.ExceptHookArgs) -> None:
 
 
 def _passes(name: str, record: logging.LogRecord) -> bool:
-    """End the process for the error of a callback that lacks memory; have every other one logged."""
+    """End the process if a callback lacks memory; let other errors be logged."""
     error = record.exc_info[1] if record.exc_info else None
     if error is not None and out_of_memory(error):
         _end(name, NO_MEMORY)
@@ -131,7 +130,7 @@ def _passes(name: str, record: logging.LogRecord) -> bool:
 
 
 def _end(name: str, why: str, error: BaseException | None = None) -> NoReturn:
-    """End the process at once, as by SIGKILL: to tidy up takes memory, and threads that are gone."""
+    """End the process at once, as by SIGKILL: a cleanup needs memory and live threads."""
     try:
         logging.getLogger(name).critical(why, exc_info=error)
     finally:

@@ -1,8 +1,9 @@
-"""What a sender kept from before somebody listened, and then what it sends, in its order and each once.
+"""Merge of a sender's kept samples with its live samples, in order and without duplicates.
 
-Zenoh's own subscriber with history loses all that it has fetched where a live sample comes after the end of its first
-query and before the end of its second, which is for senders that appear later (1.10.2; under load one start in two of
-a subscriber to a dozen topics). So we fetch ourselves.
+Zenoh's own subscriber with history loses all fetched samples when a live sample arrives between the
+ends of its first and second query; the second is for late senders. (Zenoh 1.10.2; under load this
+affects every second start of a subscriber to a dozen topics.) Therefore this module fetches the
+samples itself.
 """
 
 import threading
@@ -12,19 +13,19 @@ from typing import Final, Generic, TypeVar
 
 T = TypeVar("T")
 
-#: Senders that are known again; a subscriber hears of one at a time, and of another whenever that is restarted.
+#: Number of remembered senders; there is one at a time, and another after each restart.
 _KNOWN: Final = 64
 
 
 class Budget:
-    """Bytes that may be held at one time by all who share them; any thread may call."""
+    """Limit of the bytes held by all who share it; thread-safe."""
 
     def __init__(self, most: int) -> None:
         self._left = most
         self._lock = threading.Lock()
 
     def take(self, size: int) -> bool:
-        """Whether there is room for so much more, which is then taken."""
+        """Reserve bytes; return False if the limit does not allow it."""
         with self._lock:
             if size > self._left:
                 return False
@@ -32,14 +33,14 @@ class Budget:
             return True
 
     def give(self, size: int) -> None:
-        """Make room again."""
+        """Release bytes."""
         with self._lock:
             self._left += size
 
 
 @dataclass
 class _Sender(Generic[T]):
-    """Number of the last sample passed on, and, until what was kept has come, the live samples and their sizes."""
+    """Number of the last passed sample, and the live samples with sizes while the query runs."""
 
     last: int = -1
     asked: bool = False
@@ -47,11 +48,11 @@ class _Sender(Generic[T]):
 
 
 class Replay(Generic[T]):
-    """Asks each sender that it hears of, once, for what it kept; what is live waits until that has come.
+    """Fetches the kept samples of each new sender once, ahead of its live samples; thread-safe.
 
-    Of a sender that does not answer, samples wait until its query ends or there is no room (``overdue``). Any thread
-    may call. ``take`` is called by one thread at a time; both must return at once, and not raise. After ``ask``,
-    `replayed` and then `ended` must follow.
+    If a sender does not answer, its samples wait until the query ends or the budget is exhausted
+    (``overdue``). ``take`` runs on one thread at a time. ``take`` and ``ask`` must return at once,
+    without exceptions. After ``ask``, `replayed` and then `ended` must follow.
     """
 
     def __init__(
@@ -69,7 +70,7 @@ class Replay(Generic[T]):
         self._senders: dict[str, _Sender[T]] = {}
 
     def met(self, name: str) -> _Sender[T]:
-        """Note that a sender is there."""
+        """Register a sender, and query a new one."""
         with self._lock:
             sender = self._senders.setdefault(name, _Sender())
             if sender.asked:
@@ -81,14 +82,14 @@ class Replay(Generic[T]):
         return sender
 
     def hold(self) -> None:
-        """Ask each sender once more when it is heard of: what comes from now on does not follow what came before."""
+        """Query each known sender again, for the samples between two sessions."""
         with self._lock:
             for sender in self._senders.values():
                 sender.held = sender.held or []
                 sender.asked = False
 
     def live(self, name: str, number: int, sample: T, size: int) -> None:
-        """Take a sample of `size` bytes that was just sent, the `number`-th of its sender; numbers grow."""
+        """Take a live sample of `size` bytes with its sender's sequence number."""
         sender = self.met(name)
         with self._lock:
             if sender.held is not None:
@@ -100,13 +101,13 @@ class Replay(Generic[T]):
             self._pass(sender, number, sample)
 
     def replayed(self, name: str, number: int, sample: T) -> None:
-        """Take a sample that was kept, in the order of numbers."""
+        """Take a kept sample, in the order of sequence numbers."""
         with self._lock:
             if (sender := self._senders.get(name)) is not None:
                 self._pass(sender, number, sample)
 
     def ended(self, name: str) -> None:
-        """Note that all that was kept has come, or that the sender does not answer."""
+        """Release the held samples after all kept samples have arrived or the query has failed."""
         with self._lock:
             if (sender := self._senders.get(name)) is not None:
                 self._release(sender)

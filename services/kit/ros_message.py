@@ -1,4 +1,4 @@
-"""Messages of ROS 2 by what is in them, and pixels as they have them."""
+"""Construction of ROS 2 messages from their fields, and conversion of their pixels."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from services.kit.jpeg import MOST_PIXELS
 
-#: Bytes of the largest that is taken: as many pixels as a camera has, of three bytes each, and what stands beside them.
+#: Maximum size of a message: a camera's maximum pixels with three bytes each, and a header.
 LARGEST_BYTES: Final = 3 * MOST_PIXELS + 4096
-#: Bytes of a pixel, and how it becomes RGB, by the encoding's name.
+#: Bytes of a pixel and its conversion to RGB, by the name of the encoding.
 ENCODINGS: Final[dict[str, tuple[int, int | None]]] = {
     "rgb8": (3, None), "bgr8": (3, cv2.COLOR_BGR2RGB), "8UC3": (3, cv2.COLOR_BGR2RGB),
     "rgba8": (4, cv2.COLOR_RGBA2RGB), "bgra8": (4, cv2.COLOR_BGRA2RGB),
@@ -22,14 +22,14 @@ ENCODINGS: Final[dict[str, tuple[int, int | None]]] = {
 
 
 def ros_message(store: Any, kind: str, fields: Mapping[str, Any] | None = None) -> Any:  # noqa: ANN401 - without types
-    """Return a message of a kind (``nav_msgs/msg/Odometry``); what its fields, maps in maps, lack is zero or empty."""
+    """Create a message of a kind (``nav_msgs/msg/Odometry``); missing fields are zero or empty."""
     given = dict(fields or {})
-    made = {
+    values = {
         name: _value(store, node, given.pop(name, None)) for name, node in store.fielddefs[kind][1]
     }
     if given:
         raise KeyError(f"{kind} has no {', '.join(given)}")
-    return store.types[kind](**made)
+    return store.types[kind](**values)
 
 
 def _value(store: Any, node: Any, value: Any) -> Any:  # noqa: ANN401 - as above
@@ -52,18 +52,20 @@ def _value(store: Any, node: Any, value: Any) -> Any:  # noqa: ANN401 - as above
 def rgb_of(
     encoding: str, width: int, height: int, step: int, data: NDArray[np.uint8]
 ) -> NDArray[np.uint8]:
-    """Return the RGB pixels (height, width, 3) of rows of ``step`` bytes; ValueError when that does not fit."""
+    """Return RGB pixels (height, width, 3) of rows of ``step`` bytes; ValueError if invalid."""
     if encoding not in ENCODINGS:
-        raise ValueError(f"encoding {encoding[:30]!r}: known are {', '.join(ENCODINGS)}")
+        raise ValueError(
+            f"unsupported encoding {encoding[:30]!r}; supported are {', '.join(ENCODINGS)}"
+        )
     size, conversion = ENCODINGS[encoding]
     if not (
         0 < width * height <= MOST_PIXELS and step >= width * size and data.size == step * height
     ):
         raise ValueError(
-            f"{width}x{height} pixels in {data.size} bytes, {step} a row: that cannot be"
+            f"invalid image: {width}x{height} pixels in {data.size} bytes, {step} per row"
         )
     if size == 2 and width % 2:
-        raise ValueError(f"{width} columns: pixels of {encoding} come in pairs")
+        raise ValueError(f"invalid width {width}: {encoding} needs an even number of columns")
     pixels = np.ascontiguousarray(data.reshape(height, step)[:, : width * size]).reshape(
         height, width, size
     )

@@ -1,4 +1,4 @@
-"""What stands about the robot, put together of its depth images and its odometry."""
+"""Occupancy around the robot, from depth images and odometry."""
 
 import numpy as np
 
@@ -8,24 +8,24 @@ from smal.obstacles.clearance import Mount, Surroundings
 
 
 class ObstacleSight:
-    """Keeps the surroundings of one episode, of depth images that say how their camera sits, and the wheels."""
+    """Surroundings of one episode, from depth images with a mounting and odometry."""
 
     def __init__(self) -> None:
         self._odometry: Odometry | None = None
         self._depth: DepthImage | None = None
-        self.mount: Mount | None = None  # How the depth camera sits.
+        self.mount: Mount | None = None  # Position of the depth camera.
         self._around: tuple[str, Surroundings] | None = None
 
     def roll(self, odometry: Odometry) -> None:
-        """Take where the wheels say that the robot is."""
+        """Store the pose by odometry."""
         self._odometry = odometry
 
     def see(self, depth: DepthImage) -> None:
-        """Take a depth image."""
+        """Store a depth image."""
         self._depth = depth
 
     def around(self, episode: str) -> Surroundings | None:
-        """Return what stands about the robot now, by the newest of both; None where no depth has told it."""
+        """Return the current surroundings; None without a depth image of the episode."""
         now = self._odometry
         depth = self._depth
         if (
@@ -38,7 +38,7 @@ class ObstacleSight:
         self.mount = mount = Mount(**depth.mounting.model_dump())
         if self._around is None or self._around[0] != episode:
             self._around = episode, Surroundings(mount.radius_m)
-        # Where the image is of another frame, only the wheels tell something.
+        # If the image belongs to another frame, only the odometry is used.
         image = (depth.to_numpy() / 1000.0).astype(np.float32) if depth.tick == now.tick else None
         self._around[1].look((now.x_m, now.y_m, now.heading_rad), image, mount)
         return self._around[1]

@@ -1,15 +1,15 @@
-"""What goes wrong again and again, told once a second."""
+"""Throttling of repeated log messages."""
 
 import time
 
 
 class Throttle:
-    """Lets one line a second through: a sender that goes on and on must not fill the disk with the log."""
+    """Limit of one log line a second, so that a persistent sender cannot fill the disk."""
 
     _next_s = 0.0
 
     def due(self) -> bool:
-        """Whether a line may be logged now."""
+        """Return whether a line may be logged now."""
         now_s = time.monotonic()
         if now_s < self._next_s:
             return False

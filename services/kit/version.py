@@ -1,10 +1,10 @@
-"""Which version of this program runs."""
+"""Version of this program."""
 
 from importlib.metadata import PackageNotFoundError, version
 
 
 def program_version() -> str:
-    """Return the version of this program; "unknown" where it runs without having been installed."""
+    """Return the installed version of this program, or "unknown"."""
     try:
         return version("smal")
     except PackageNotFoundError:

@@ -1,6 +1,7 @@
-"""Sessions of Zenoh: a router in this process, and clients of one; and all that Zenoh is told by settings.
+"""Zenoh sessions: a router in this process, clients, and all of their settings.
 
-Where routers are, what they and clients take, and how each message travels.
+The settings cover the addresses of routers, the limits of routers and clients, and the transport of
+each message.
 """
 
 import ctypes
@@ -25,49 +26,53 @@ from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, BusError
 from services.table import roles
 
 DEFAULT_ROUTER: Final = "tcp/127.0.0.1:7447"
-#: Others that Zenoh knows are left out: who asks for them can hold up everybody, or is not bound by a certificate.
+#: Zenoh's other protocols are excluded: some let a client block all others, or bypass certificates.
 ENDPOINT_PATTERN: Final = r"(?:tcp|tls)/([^\s/@]+):(\d{1,5})"
-ATTEMPT_MS: Final = (
-    800  # How long one attempt to reach a router lasts; between two attempts a signal is noticed.
-)
-#: What a message takes beside its payload: key, encoding and Zenoh's own fields are 300 bytes.
+# Time limit of one connection attempt; signals are handled between two attempts.
+ATTEMPT_MS: Final = 800
+#: Size of a message without its payload: key, encoding and Zenoh's own fields are 300 bytes.
 _OVERHEAD_BYTES: Final = 1024
 LINK_BYTES: Final = LARGEST_BYTES + _OVERHEAD_BYTES
-LEASE_MS: Final = (
-    2000  # After so long a silence a link is dead, and so is one that has not said who it is.
-)
-#: After so long a silence of a router that has others beside it its clients go to one of those: with one attempt at the
-#: silent one, which their next attempt may be, they are there within two seconds.
+# Silence after which a link is dead; also the time limit of its handshake.
+LEASE_MS: Final = 2000
+#: Silence after which clients leave one of several routers. With one attempt at the silent router,
+#: which the next attempt can be, they reach another router within two seconds.
 PAIR_LEASE_MS: Final = 1000
-#: Sessions that a router takes: with Zenoh's thousand, each with messages that are not yet whole, it would run out of
-#: memory. Every process has one a lane, those of a stack 24; as many again are counted while dead links have their
-#: lease, and those that were there before an outage (`connection`). The rest is for 16 programs of people.
+#: Maximum sessions of a router: Zenoh's thousand, each with partial messages, exhaust the memory.
+#: Every process has one session per lane, a stack 24. As many again count while dead links have
+#: their lease, and sessions from before an outage (`connection`). The rest allows 16 programs of
+#: people.
 MAX_SESSIONS: Final = 120
-#: What each further robot of a fleet brings: its own process, a recorder, a page and one program of people.
+#: Sessions for each further robot of a fleet: its own process, a recorder, a page and one program of
+#: a person.
 SESSIONS_A_ROBOT: Final = 4 * len(LANES)
-#: Threads that take in what comes. A router has one for each session, so that whoever sends more than its receivers
-#: take holds up themselves alone; a process on the bus has one more, for a robot's own router.
+#: Receiving threads. A router has one per session, so that a sender that exceeds its receivers
+#: delays only itself. A process on the bus has one more, for a robot's own router.
 CLIENT_THREADS: Final = len(LANES) + 1
-#: Threads on which lost connections are made again, each of which waits there for what is in its way: with Zenoh's one
-#: the sessions of a process wait for each other, and what comes of the first ones is lost (1.10.2, a frozen router).
+#: Threads for reconnections, each of which blocks there. With Zenoh's single thread the sessions of
+#: a process wait for each other, and messages of the first sessions are lost (1.10.2, a frozen
+#: router).
 NET_THREADS: Final = 16
-#: What a session may ask of one call in a second: whoever waits for an answer before they ask again is slower.
+#: Maximum frequency of one call per session; a client that waits for answers is slower.
 MOST_CALLS_HZ: Final = 10_000
-_CALL_BYTES: Final = (
-    2 * MAX_RPC_BYTES
-)  # Largest call that a router passes on, for who is called to refuse it by name.
-_GROUPS: Final = f"{group_key('*', '*')}/**"  # Of the questions of instances to each other; ``**`` does not match it.
-_RUNTIME: Final = (
-    "ZENOH_RUNTIME"  # Zenoh's own variable for how many threads it has for what, in a process.
-)
-_LOG: Final = "RUST_LOG"  # Zenoh's variable for what it logs.
+# Maximum size of a call that a router passes on, so that the service can refuse it by name.
+_CALL_BYTES: Final = 2 * MAX_RPC_BYTES
+# Queries between instances; ``**`` does not match them.
+_GROUPS: Final = f"{group_key('*', '*')}/**"
+# Zenoh's variable for the numbers of its threads.
+_RUNTIME: Final = "ZENOH_RUNTIME"
+_LOG: Final = "RUST_LOG"  # Zenoh's variable for its log.
 _OPENING: Final = threading.Lock()
 _LIBC: Final = ctypes.CDLL(None)
 _UNSPECIFIED: Final = bytes(16)  # A socket address of the family AF_UNSPEC.
 
 
 class Quality(NamedTuple):
-    """How a message travels, in Zenoh's words: by which queue, whether it waits for room there, and whether at once."""
+    """Transport of a message in Zenoh's terms.
+
+    The priority selects the queue. Congestion control decides whether a message waits for room in
+    it, and ``express`` whether it is sent without batching.
+    """
 
     priority: str
     congestion_control: str
@@ -75,16 +80,16 @@ class Quality(NamedTuple):
 
 
 _ORDINARY: Final = Quality("data_high", "drop", express=False)
-#: Of the signs of life of `services.kit.echo`: they overtake all that waits. They are not express, so that several fit
-#: into one batch and none waits for room on a link that is full.
+#: Echoes overtake all waiting messages. They are not express, so that several share a batch and none
+#: waits for room on a full link.
 ECHO_QUALITY: Final = Quality("real_time", "drop", express=False)
 
 
 def quality(topic: Topic) -> Quality:
-    """Return how the messages of a topic travel.
+    """Return the transport of a topic.
 
-    What waits must not wait behind images: a slow link would then be closed for them. And nothing must wait behind what
-    is replayed. An emergency stop has a queue that nothing else comes into.
+    Reliable messages must not wait behind images, or a slow link is closed for them. No message
+    must wait behind a replay. Emergency stops have a queue of their own.
     """
     if topic.lane == "ordinary":
         return Quality("interactive_low", "block", express=False) if topic.reliable else _ORDINARY
@@ -102,14 +107,14 @@ def zenoh_quality(how: Quality) -> dict[str, Any]:
     }
 
 
-def _door() -> list[dict[str, object]]:
-    """Return how messages travel from the router on, whatever their senders want: the last rule that fits counts.
+def _transport_rules() -> list[dict[str, object]]:
+    """Return the router's transport rules, which override the senders' choice; the last match counts.
 
-    Who could choose would send with the priority of an emergency stop, or have every receiver that is slower than they
-    are sent away, for which Zenoh waits where a sender asks it to.
+    Otherwise a sender could use the priority of an emergency stop, or have slower receivers
+    disconnected by a sender that makes Zenoh wait.
     """
     rules: list[tuple[list[str], list[str], dict[str, object]]] = [
-        # The answers have the priority of the question, and what is replayed must keep its own.
+        # Answers inherit the priority of the question, and a replay must keep its own.
         (["query"], [*_everything("**"), _GROUPS], {"congestion_control": "drop"}),
         (["put", "delete"], _everything("**"), _ORDINARY._asdict()),
         (["put", "delete"], [echo_key("*", "*", "*", "*")], ECHO_QUALITY._asdict()),
@@ -130,11 +135,12 @@ def _door() -> list[dict[str, object]]:
     ]
 
 
-def _bounds() -> list[dict[str, object]]:
-    """Return how often each session may make each call in a second; the router drops the rest as it comes in.
+def _call_limits() -> list[dict[str, object]]:
+    """Return the maximum frequency of each call per session; the router drops the rest on arrival.
 
-    Each session is counted by itself: who floods a call keeps nobody else from it. Messages are not bounded so: Zenoh
-    drops what comes too soon after the last one, and of two that waited on a slow link it would drop the newer one.
+    Each session counts separately, so that a flood of calls blocks only its sender. Messages have
+    no such limit: Zenoh drops a message too soon after the last one, and of two that waited on a
+    slow link it drops the newer.
     """
     served = sorted({name for role in roles().values() for name in role.serves})
     keys = [*(rpc_key("*", *name.split("/", 1)) for name in served), _GROUPS]
@@ -143,17 +149,18 @@ def _bounds() -> list[dict[str, object]]:
 
 
 def _everything(key: str) -> list[str]:
-    """Return a key, and those of what its senders kept."""
+    """Return a key, and the keys of its kept messages."""
     return [key, f"{key}/{KEPT_KEYS}"]
 
 
 def settings_of(
     mode: str, endpoint: str, credentials: Credentials, peers: Sequence[str] = ()
 ) -> dict[str, object]:
-    """Return what a router, or a client of one or of several, tells Zenoh, by the paths of Zenoh's own settings.
+    """Return the settings of a router or client, by the paths of Zenoh's configuration.
 
-    A router links itself with its peers, and does so again for as long as it takes; where it is among them, with those
-    before it alone. Of two who both do so one may take the other's new link for that of before (1.10.2, issue 2806).
+    A router connects to its peers, and retries for as long as it takes; if it is itself among the
+    peers, only to those before it. If both sides connect, one can confuse the other's new link with
+    the old one (1.10.2, issue 2806).
     """
     peers = list(peers)
     before = peers[: peers.index(endpoint)] if endpoint in peers else peers
@@ -162,22 +169,24 @@ def settings_of(
         "mode": mode,
         **({"listen/endpoints": [endpoint]} if mode == "router" else {}),
         **({"connect/endpoints": several} if several else {}),
-        # Nothing is found by multicast: a robot must never be steered by a stranger's stack on the same network.
+        # Without multicast, another stack on the same network can never move the robot.
         "scouting/multicast/enabled": False,
-        # A router would otherwise wait half a second for the scouting that is off.
+        # Otherwise a router waits half a second for the disabled scouting.
         "scouting/delay": 0,
         "transport/link/tx/lease": PAIR_LEASE_MS if peers else LEASE_MS,
         "transport/shared_memory/enabled": False,
-        # What is larger is dropped while it comes in, and not passed on: otherwise a message takes up to 1 GiB here.
+        # Larger messages are dropped on arrival; otherwise one takes up to 1 GiB here.
         "transport/link/rx/max_message_size": LINK_BYTES,
-        # Every sample tells when it was sent: the receiver's metrics want it, and so does replay.
+        # Every sample has a timestamp, for the receiver's metrics and for replay.
         "timestamping/enabled": True,
-        # Images, maps and features take many fragments; a busy machine may not drain them within the default 50 ms.
+        # Images, maps and features take many fragments; a busy machine can exceed the default of 50
+        # ms.
         "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 500_000,
-        # Nor is the default of 1 ms enough for a few commands in a row: a busy machine dropped 1 in 100 of them.
+        # With the default of 1 ms a busy machine dropped 1 in 100 commands that followed each
+        # other.
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 100_000,
-        # Episode events wait rather than be dropped. A client that does not read must not hold up everybody else for
-        # the default of 5 s: its connection is closed, and it may connect again.
+        # Episode events wait rather than be dropped. A client that does not read delays all others
+        # by this time (default 5 s); then its connection is closed, and it can connect again.
         "transport/link/tx/queue/congestion_control/block/wait_before_close": 250_000,
     }
     if several:
@@ -198,18 +207,19 @@ def settings_of(
                 "size_limit": _CALL_BYTES,
             }
         ]
-        settings["qos/network"] = _door()
-        settings["downsampling"] = _bounds()
+        settings["qos/network"] = _transport_rules()
+        settings["downsampling"] = _call_limits()
     else:
-        # Only the first connection: after an outage it is made again for as long as it takes. Without this limit
-        # `zenoh.open` blocks for ever where there is no router, deaf to signals.
+        # For the first connection only; reconnections have no limit. Without it `zenoh.open` blocks
+        # for ever without a router, and ignores signals.
         settings["connect/timeout_ms"] = ATTEMPT_MS
         settings["connect/exit_on_failure"] = False
         if len(several) > 1:
-            # A frozen router takes connections, and never answers: after so long it is the next one's turn.
+            # A frozen router accepts connections and never answers; after this time the next router
+            # is tried.
             settings["transport/unicast/open_timeout"] = ATTEMPT_MS
     if credentials is not None:
-        for side in ("listen", "connect"):  # A router that is linked with another one does both.
+        for side in ("listen", "connect"):  # A linked router both listens and connects.
             settings[f"transport/link/tls/{side}_certificate"] = str(credentials.certificate)
             settings[f"transport/link/tls/{side}_private_key"] = str(credentials.key)
         settings |= {
@@ -222,19 +232,19 @@ def settings_of(
 
 
 def named(endpoint: str) -> str:
-    """Name what a client goes to: every address of this machine is one to listen on, which no certificate has."""
+    """Return the address for clients: localhost for wildcards, which no certificate names."""
     return re.sub(r"/(0\.0\.0\.0|\[::\]):", "/localhost:", endpoint)
 
 
 def most_sessions(robots: Sequence[str]) -> int:
-    """Return how many sessions the router of so many robots takes, and threads that it has: one for each."""
+    """Return the maximum sessions of a router for some robots, and its number of threads."""
     return MAX_SESSIONS + SESSIONS_A_ROBOT * max(len(robots) - 1, 0)
 
 
 def router_settings(
     endpoint: str, robots: Sequence[str], credentials: Credentials, peers: Sequence[str] = ()
 ) -> dict[str, object]:
-    """Return what a router tells Zenoh: who comes with credentials may do what the table of services says."""
+    """Return the settings of a router; credentials grant the rights of the table of services."""
     settings = settings_of("router", endpoint, credentials, peers)
     settings["transport/unicast/max_sessions"] = most_sessions(robots)
     if credentials is None:
@@ -248,7 +258,7 @@ def router_settings(
 def zenohd_configuration(
     endpoint: str, robots: Sequence[str], credentials: Credentials
 ) -> dict[str, object]:
-    """Return what makes Eclipse's own router, a program of its own, the same router as ``Router``."""
+    """Return the configuration by which Eclipse's router, ``zenohd``, behaves as ``Router``."""
     tree: dict[str, Any] = {}
     for path, value in router_settings(endpoint, robots, credentials).items():
         *folders, last = path.split("/")
@@ -260,12 +270,12 @@ def zenohd_configuration(
 
 
 def runtime(threads: int) -> str:
-    """Return what Zenoh's variable ``ZENOH_RUNTIME`` says of a process in which so many threads take in what comes."""
+    """Return the value of ``ZENOH_RUNTIME`` for a number of receiving threads."""
     return f"(rx: (worker_threads: {threads}), net: (worker_threads: {NET_THREADS}))"
 
 
 def addresses(endpoint: str) -> list[str]:
-    """Return the addresses of one router, or of several, which commas separate; BusError for a malformed one."""
+    """Return the addresses in a comma-separated list; BusError if one is malformed."""
     found = endpoint.split(",")
     for one in found:
         host_and_port(one)
@@ -273,21 +283,21 @@ def addresses(endpoint: str) -> list[str]:
 
 
 def host_and_port(endpoint: str) -> tuple[str, int]:
-    """Return host and port of a router; BusError for a malformed address, which Zenoh would try for ever."""
+    """Return host and port of a router; BusError for addresses that Zenoh retries for ever."""
     match = re.fullmatch(ENDPOINT_PATTERN, endpoint)
     if match is None or int(match[2]) > 65535:
         form = f"tcp/<host>:<port> or tls/<host>:<port>, for example {DEFAULT_ROUTER}"
         shown = re.sub(r"[^/\s]+@", "***@", endpoint)  # A log must not show a password.
-        raise BusError(f"router address {shown[:100]!r}: expected {form}")
+        raise BusError(f"invalid router address {shown[:100]!r}: expected {form}")
     return match[1].strip("[]"), int(match[2])
 
 
 def check_credentials(endpoint: str, credentials: Credentials) -> None:
-    """Check that addresses are encrypted where the credentials are a certificate, and only there; else a BusError."""
+    """Raise BusError unless addresses are encrypted exactly if the credentials are a certificate."""
     for one in addresses(endpoint):
         if encrypted(one) and credentials is None:
             raise BusError(
-                f"{one} needs a certificate: give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY"
+                f"{one} needs a certificate; give --secure DIR, or set SMAL_TLS_CA, _CERT and _KEY"
             )
         if credentials is not None and not encrypted(one):
             raise BusError(
@@ -296,7 +306,7 @@ def check_credentials(endpoint: str, credentials: Credentials) -> None:
 
 
 def _open(settings: dict[str, object], threads: int) -> zenoh.Session:
-    """Open a session; the first one of a process decides, by the environment, how many threads take in what comes."""
+    """Open a session; a process's first session sets the number of receiving threads."""
     keep_small()
     config = zenoh.Config()
     for key, value in settings.items():
@@ -312,7 +322,7 @@ def _open(settings: dict[str, object], threads: int) -> zenoh.Session:
 
 
 def start_log(filters: str) -> None:
-    """Have Zenoh log to the standard output by filters, and by those of a developer's environment."""
+    """Log Zenoh's messages to standard output by filters, after those of the environment."""
     asked = os.environ.get(_LOG)
     os.environ[_LOG] = filters if asked is None else f"{asked},{filters}"
     os.environ["NO_COLOR"] = "1"
@@ -320,9 +330,9 @@ def start_log(filters: str) -> None:
 
 
 def open_client(endpoint: str, credentials: Credentials, patience_s: float) -> zenoh.Session:
-    """Connect to the first router that lets us in; BusError where none does before the patience ends."""
+    """Connect to the first router that accepts; BusError after the timeout."""
     deadline = time.monotonic() + patience_s
-    # At the start Zenoh goes to the first address alone, and comes to the others when it has lost that one.
+    # At the start Zenoh tries only the first address; it tries the others after losing that one.
     order = addresses(endpoint)
     while True:
         for _ in order:
@@ -334,7 +344,7 @@ def open_client(endpoint: str, credentials: Credentials, patience_s: float) -> z
 
 
 def _why_no_router(endpoint: str, credentials: Credentials) -> str:
-    """Tell a router that refuses us, for whatever reason of its own, from none."""
+    """Distinguish a router that refuses the connection from a missing router."""
     try:
         socket.create_connection(host_and_port(endpoint), 1.0).close()
     except OSError:
@@ -342,15 +352,12 @@ def _why_no_router(endpoint: str, credentials: Credentials) -> str:
     full = f"is full (it takes {MAX_SESSIONS} sessions, {len(LANES)} of each program)"
     if credentials is not None:
         refused = why_refused(credentials, *host_and_port(named(endpoint)))
-        return (
-            refused
-            or f"what listens at {endpoint} is no router that encrypts, does not answer, or {full}"
-        )
-    return f"what listens at {endpoint} is no router, or takes nobody in without a certificate, or {full}"
+        return refused or f"{endpoint} is not an encrypted router, does not answer, or {full}"
+    return f"{endpoint} is not a router, requires a certificate, or {full}"
 
 
 def connected_sockets() -> Iterator[tuple[int, str]]:
-    """Yield the file descriptors of this process that are TCP connections, with the address at the other end."""
+    """Yield the TCP connections of this process: file descriptor and remote address."""
     for path in Path("/proc/self/fd").iterdir():
         with suppress(OSError):
             if not path.is_socket():
@@ -365,17 +372,31 @@ def connected_sockets() -> Iterator[tuple[int, str]]:
 
 
 def reset(fd: int) -> None:
-    """Reset a TCP connection: unlike `shutdown`, this drops what has arrived and is not read yet (connect(2))."""
+    """Reset a TCP connection; unlike `shutdown`, this drops received unread data (connect(2))."""
     _LIBC.connect(fd, _UNSPECIFIED, len(_UNSPECIFIED))
 
 
 class Router:
-    """A Zenoh router in this process.
+    """Zenoh router in this process.
 
-    With credentials only who has some as well gets in, and may do on the robot's bus what their role may; without them
-    everybody may do everything, and it must be told to be ``insecure`` to listen where other machines reach it. With
-    ``peers``, addresses of other routers, all their clients are on one bus. Raises BusError when an address is
-    malformed, its port is taken, or strangers would get in.
+    Parameters
+    ----------
+    endpoint
+        Address to listen on.
+    credentials
+        Certificate. Clients then need one as well and have the rights of their role. Without it
+        everyone has all rights.
+    robots
+        Ids of the robots.
+    insecure
+        Whether to listen without credentials where other machines can connect.
+    peers
+        Addresses of other routers, whose clients share the bus.
+
+    Raises
+    ------
+    BusError
+        If an address is malformed, its port is taken, or access is insecure.
     """
 
     def __init__(
@@ -391,8 +412,8 @@ class Router:
             check_credentials(one, credentials)
         if credentials is None and not insecure and others_reach(host):
             raise BusError(
-                f"{endpoint} can be reached from other machines, and whoever reaches it could drive the robot: "
-                "give --secure DIR (`smal secure init` makes it), or --insecure"
+                f"{endpoint} can be reached from other machines, and anyone there could drive the "
+                "robot; give --secure DIR (`smal secure init` makes it), or --insecure"
             )
         try:
             self._session = _open(
@@ -405,14 +426,19 @@ class Router:
                 else str(error).partition(" at /")[0][:200]
             )
             raise BusError(
-                f"cannot listen on {endpoint}: {reason}; stop what uses it, or choose another port"
+                f"cannot listen on {endpoint}: {reason}; stop its user, or choose another port"
             ) from None
 
     def disconnect(self, session: str) -> bool:
-        """Reset the newest connection of a client whose session's id begins so; return whether there is one.
+        """Reset the newest connection of a client by the prefix of its session id.
 
-        What the client has sent and the router has not read yet is dropped. An id that begins as another client's does
-        is an imitation, and is the newer one: ids are random.
+        Data that the router has not read yet are dropped. Ids are random: a client whose id has
+        another client's prefix is an imitation, and is the newer one.
+
+        Returns
+        -------
+        bool
+            Whether there is such a connection.
         """
         remote = {
             link.dst.partition("/")[2]

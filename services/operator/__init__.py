@@ -1,1 +1,1 @@
-"""What a person who drives tells the robot, whatever they sit at: a terminal (``teleop``) or a page (``console``)."""
+"""Operator's side of the robot, for the terminal (``teleop``) and the page (``console``)."""

@@ -1,4 +1,4 @@
-"""From what is held to commands: an answer to every heartbeat of the robot while anything is, else silence."""
+"""Commands of an operator: an answer to every report of the robot while a key or stick is held."""
 
 import math
 from collections import Counter
@@ -9,45 +9,46 @@ from schemas.base import NO_EPISODE, STANDING, Message, Source, Velocity
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
 
-#: How fast a car, which cannot turn on the spot, drives ahead by a turn key alone: of its nominal speed.
+#: Share of its nominal speed at which a car, which cannot turn on the spot, drives for a turn key
+#: alone.
 TURNS_AT: Final = 0.5
-#: Who has held on for so long while the robot stood before something has seen it, and insists by holding again so soon.
+#: A person who held on for this long before an obstacle, and holds again this soon, insists.
 STOOD_S = 1.0
 AGAIN_S = 2.0
 _NEVER: Final = math.inf, -math.inf
 
 
 class Commands:
-    """What a person who drives tells the robot; each method returns the command that is to be sent, if any.
+    """Commands of a person who drives; each method returns the command to send, if any.
 
-    While a velocity is held, by keys or a stick, every heartbeat is answered by it; a change is sent at once. When
-    nothing is held any more one ``stop`` is sent, then nothing: another driver may go on. An emergency stop is repeated
-    until the robot says that it stands, and ends when it was armed; one that is pressed after that was asked for stays.
-    A robot that cannot turn so sharply tells so, and is a car: from then on a turn key drives it ahead, slowly, in as
-    narrow a bend as its gate lets it, unless it is told at once to drive on. Who has seen the robot stand before
-    something and holds again insists: it goes on, slowly.
+    While a velocity is held, it answers every report of the robot; a change is sent at once. After
+    the release one ``stop`` is sent, and then nothing, so that another driver can continue. An
+    emergency stop repeats until the robot reports it, and ends when the robot is armed; a later
+    emergency stop stays. A robot that reports that it cannot turn so sharply is a car: from then on
+    a turn key alone also drives it ahead slowly. A person who has
+    seen the robot stand before an obstacle and holds again insists: the robot continues slowly.
 
-    ``robot`` is whom it is for before anything was heard of the robot; ``clock`` gives seconds.
+    ``robot`` is the robot's id, for commands before its first report. ``clock`` returns seconds.
     """
 
     def __init__(self, robot: str, clock: Callable[[], float]) -> None:
         self._clock = clock
         self._held: Velocity | None = None
         self._until_s = 0.0
-        #: The last heartbeat, or what stands for one before the first: an emergency stop descends from it.
+        #: The last report, or a placeholder before the first; emergency stops descend from it.
         self.heard = Message(robot=robot, episode=NO_EPISODE, tick=0, stamp_ns=0)
-        #: The last heartbeat of the running episode; None where there is none.
+        #: The last report of the running episode; None without an episode.
         self.applied: CommandApplied | None = None
         self.episode: str | None = None
         self.last_ended: str | None = None
-        #: Number of the stop that the robot stands for, as it last told; 0 where none is, None before it told anything.
+        #: Number of the latched stop as last reported; 0 without a stop, None before the first
+        #: report.
         self.stop: int | None = None
-        self.emergency = False  # Whether an emergency stop is asked for.
+        self.emergency = False  # Whether an emergency stop is requested.
         self._arming = False
-        self._car = (
-            False  # Whether it turns only in driving, as far as it has told in this episode.
-        )
-        #: When the robot first and last told, while something was held, that it stands before something.
+        # Whether the robot turns only while driving, by its reports in this episode.
+        self._car = False
+        #: First and last time that the robot reported an obstacle while a key was held.
         self._stood_s = _NEVER
         self._insists = False
         self._sent: Velocity | None = None
@@ -56,20 +57,20 @@ class Commands:
 
     @property
     def to_release(self) -> int | None:
-        """Number of the stop that the operator knows of, 0 where none is; None while they cannot know of theirs."""
+        """Number of the stop to release, 0 without a stop; None while it is unknown."""
         return None if self.emergency and not self.stop else self.stop
 
     @property
     def held(self) -> Velocity | None:
-        """What is held."""
+        """The held velocity, if any."""
         if self._clock() >= self._until_s:
             self._held = None
         return self._held
 
     def handle(self, applied: CommandApplied) -> Command | None:
-        """Answer a heartbeat."""
+        """Answer a report of the robot."""
         if applied.episode == self.last_ended:
-            return None  # overtaken by the news of the end, which came on another topic
+            return None  # The end of the episode, on another topic, has overtaken it.
         self._enter(applied.episode)
         if self.applied is None or applied.tick != self.applied.tick:
             self._sequences.clear()
@@ -86,12 +87,12 @@ class Commands:
         return self.poll()
 
     def told(self, stop: int) -> Command | None:
-        """Take the number of the stop that a robot without an episode tells."""
+        """Store the number of the stop that a robot reports without an episode."""
         self.stop = stop
         return self.repeat_stop()
 
     def hold(self, held: Velocity | None, until_s: float = 0.0) -> Command | None:
-        """Take what is held now, until a time of the clock; None where nothing is."""
+        """Hold a velocity until a time of the clock; None releases it."""
         if self.held is None and held is not None:
             first_s, last_s = self._stood_s
             self._insists = last_s - first_s >= STOOD_S and self._clock() - last_s <= AGAIN_S
@@ -101,37 +102,37 @@ class Commands:
         return self.poll()
 
     def poll(self) -> Command | None:
-        """Send a change of what is held, be it that time has released it."""
+        """Return the command for a change of the held velocity, including its expiry."""
         return self._drive() if self.held != self._sent else None
 
     def stop_for_emergency(self) -> Command:
-        """Stop, and stay so until the robot is armed, also where that has just been asked for."""
+        """Stop until the robot is armed, even if arming was requested before."""
         self._held = self._sent = None
         self.emergency = True
         self._arming = False
         return self._command("emergency_stop", STANDING)
 
     def repeat_stop(self) -> Command | None:
-        """Repeat an emergency stop of which the robot has not told that it stands for it."""
+        """Repeat an emergency stop until the robot reports it."""
         due = self.emergency and not self.stop and not self._arming
         return self._command("emergency_stop", STANDING) if due else None
 
     def arming(self) -> None:
-        """Take note that the robot is being asked to release its stop."""
+        """Note that the robot is asked to release its stop."""
         self._arming = True
 
     def armed(self) -> None:
-        """Take note that it has released the stop; one that was pressed meanwhile stays."""
+        """Note that the robot has released the stop; a later emergency stop stays."""
         if self._arming:
             self.emergency = False
             self.stop = 0
 
     def answered(self) -> None:
-        """Take note that it is no longer being asked."""
+        """Note that the request has ended."""
         self._arming = False
 
     def on_event(self, event: Episode) -> None:
-        """Follow the beginnings and ends of episodes."""
+        """Follow the starts and ends of episodes."""
         if event.event == "started":
             self._enter(event.episode)
         elif event.event == "ended":
@@ -140,7 +141,7 @@ class Commands:
                 self.no_episode()
 
     def no_episode(self) -> None:
-        """Take note that there is none, or none any more."""
+        """Note that no episode runs."""
         self.applied = self._held = self._sent = None
 
     def _enter(self, episode: str) -> None:

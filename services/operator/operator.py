@@ -1,4 +1,4 @@
-"""A person who drives, on the bus: their commands and signs of life, and what they ask of the robot."""
+"""The operator on the bus: commands, heartbeats and requests to the robot."""
 
 import math
 import threading
@@ -31,13 +31,16 @@ from services.kit.errors import JobError
 from services.kit.node import Node, ServiceError
 from services.operator.commands import Commands
 
-POLL_S: Final = 0.02  # How often releases of keys and the robot's answers have to be noticed, see ``Operator.poll``.
-RESET_S: Final = 60.0  # A simulator's first frame takes seconds; another world of thousands of houses opens in minutes.
+# Period of ``Operator.poll``, which detects released keys and answers.
+POLL_S: Final = 0.02
+# A simulator's first frame takes seconds; a world of thousands of houses opens in minutes.
+RESET_S: Final = 60.0
 _OPEN_S: Final = 600.0
 ANSWER_S: Final = 5.0
-#: How often it is told how the robot is that has no episode, of which it would tell ten times a second.
+#: Period of the reports about a robot without an episode, whose pulses arrive more often.
 LOOK_S: Final = 0.5
-SILENCE_S: Final = 1.0  # Silence after which the robot is said to be silent; twenty pulses.
+SILENCE_S: Final = 1.0  # Silence after which the robot is reported as silent; twenty pulses.
+# Fields of the report.
 _APPLIED: Final = (
     "episode",
     "tick",
@@ -47,47 +50,49 @@ _APPLIED: Final = (
     "source",
     "reason",
     "refused",
-)  # Of the report.
-_PULSES: Final = 16  # Pulses that may still be answered, and some more; they come every 0.05 s.
-#: How often an emergency stop is repeated until the robot has told that it stands for it: as often as it would tell.
+)
+# Number of pulses that can still be answered, with some reserve; they arrive every 0.05 s.
+_PULSES: Final = 16
+#: Period of a repeated emergency stop until the robot reports it; equal to the robot's report
+#: period.
 REPEAT_S: Final = 0.1
 
 
 @dataclass(frozen=True)
 class Report:
-    """What was last heard of the robot, and of its episode."""
+    """Last known state of the robot and its episode."""
 
-    at: float = 0.0  # When it last told of itself, by the operator's clock.
+    # Time of the robot's last report, by the operator's clock.
+    at: float = 0.0
     answers: bool = False
-    waiting: bool = False  # An episode was asked for, and has not begun yet.
-    emergency: bool = (
-        False  # An emergency stop was asked for here, and the robot was not armed since.
-    )
+    waiting: bool = False  # An episode was requested and has not begun yet.
+    # An emergency stop was requested here, and the robot was not armed since.
+    emergency: bool = False
     cause: StopCause | None = None  # Why the robot stands until it is armed.
-    episode: str | None = None  # The running episode; none where there is none.
-    tick: int = (
-        0  # Of the running episode, or of the last one: its newest frame, and how the robot moved.
-    )
+    episode: str | None = None
+    # Newest frame and motion of the running episode, or of the last one.
+    tick: int = 0
     atom: Atom | None = None
     linear: float = 0.0
     angular: float = 0.0
     source: Source | None = None
     reason: str | None = None
     refused: int = 0
-    purpose: Purpose | None = None  # How the episode was begun; None where nobody has told.
+    purpose: Purpose | None = None  # Start of the episode; None if unknown.
     driver: Source | None = None
     goal: str | None = None
     world: str | None = None
-    outcome: Outcome | None = None  # How it ended.
-    right: bool | None = None  # Whether what it said is so, of "not here"; None where nobody knows.
+    outcome: Outcome | None = None
+    right: bool | None = None  # Whether the report "not here" is right; None if unknown.
 
 
 class Operator:
-    """Wires what a person does to a node; everything happens on the node's thread.
+    """Connects a person's actions to a node; the methods run on the node's thread.
 
-    Whoever owns it calls ``poll`` every ``POLL_S`` or sooner. ``say`` tells the person one thing, once; ``show`` shows
-    them the report on the robot when it has changed. Each pulse of the robot is answered while the person is ``there``,
-    as for as long as this process is; where that is known for moments alone, ``beat`` tells it.
+    The owner calls ``poll`` every ``POLL_S`` or sooner. ``say`` prints one line to the person;
+    ``show`` displays the changed report. Each pulse of the robot is answered while the person is
+    ``there``, by default for the lifetime of the process. If presence is known only for moments,
+    call ``beat``.
     """
 
     def __init__(
@@ -105,19 +110,18 @@ class Operator:
         self._there = there
         self.report = Report()
         self.commands = Commands(node.robot, clock)
-        self.mine: str | None = (
-            None  # The running episode, if it was begun here, and how it was asked for.
-        )
+        # The running episode, if it was begun here, and its request.
+        self.mine: str | None = None
         self.request: ResetRequest | None = None
         self._beats = count()
-        self._heard_s = (
-            self._applied_s
-        ) = -math.inf  # When something was heard of the robot, and of its episode.
+        # Time of the last message of the robot, and of its episode.
+        self._heard_s = self._applied_s = -math.inf
         self._pulses: deque[tuple[float, Pulse]] = deque(maxlen=_PULSES)
-        # One question to the robot at a time, in a thread of its own: an emergency stop must not wait for its answer.
+        # One request at a time, on a separate thread: an emergency stop must not wait for its
+        # answer.
         self.asking = False
         self._answers: SimpleQueue[Callable[[], None]] = SimpleQueue()
-        #: Set when the episode that is being asked for is not to begin after all; None where none is.
+        #: Set to withdraw the requested episode; None without a request.
         self._withdrawn: threading.Event | None = None
         node.subscribe(topics.APPLIED, self._on_applied)
         node.subscribe(topics.EPISODE, self._on_event)
@@ -125,16 +129,16 @@ class Operator:
         node.every(LOOK_S, self._look)
         node.every(REPEAT_S, lambda: node.publish(self.commands.repeat_stop()))
 
-    # -- what is heard --------------------------------------------------------------------------------------------
+    # -- received ----------------------------------------------------------------------------------
 
     def _on_applied(self, applied: CommandApplied) -> None:
-        """Answer the robot's heartbeat."""
+        """Answer a report of the robot."""
         self._heard_s = self._applied_s = self._clock()
         self._node.publish(self.commands.handle(applied))
         if applied.episode == self.commands.last_ended:
             return
         if applied.episode != self.report.episode:
-            # It began before this process did, and nobody has told how.
+            # It began before this process, so its details are unknown.
             self._note(purpose=None, driver=None, goal=None, world=None, outcome=None, right=None)
         self._note(
             **{name: getattr(applied, name) for name in _APPLIED},
@@ -160,7 +164,7 @@ class Operator:
             self._say(f"{named}, frame {event.tick}: {event.event.replace('_', ' ')}")
 
     def _on_pulse(self, pulse: Pulse) -> None:
-        """Answer the robot's sign of life where the person is there."""
+        """Answer the robot's pulse if the person is present."""
         first = not self._pulses
         self._heard_s = self._clock()
         self._pulses.append((self._heard_s, pulse))
@@ -170,7 +174,7 @@ class Operator:
             self._look()
 
     def _look(self) -> None:
-        """Tell how the robot is where it is silent, or has no episode."""
+        """Report the state of a robot that is silent or has no episode."""
         now = self._clock()
         if now - self._heard_s > SILENCE_S:
             self._note(answers=False)
@@ -188,19 +192,20 @@ class Operator:
             self._show(self.report)
 
     def poll(self) -> None:
-        """Notice releases of keys, and answers."""
+        """Detect released keys, and handle answers."""
         self._node.publish(self.commands.poll())
         with suppress(Empty):
             while True:
                 self._answers.get_nowait()()
         self._note(emergency=self.commands.emergency)
 
-    # -- what is done ---------------------------------------------------------------------------------------------
+    # -- actions -----------------------------------------------------------------------------------
 
     def beat(self, as_of_s: float = math.inf, *, present: bool = True) -> None:
-        """Tell the robot that the operator is there, or leaves, as of a time of the clock: now if not given.
+        """Send a heartbeat that the operator is present, or leaves, as of a time.
 
-        So it answers the last pulse that was heard by then; where none was, nobody has to be told.
+        It answers the last pulse received by ``as_of_s`` of the clock, by default now; without a
+        pulse it is not sent.
         """
         for heard_s, pulse in reversed(self._pulses):
             if heard_s <= as_of_s:
@@ -216,13 +221,13 @@ class Operator:
                 return
 
     def hold(self, held: Velocity | None, until_s: float = 0.0) -> None:
-        """Take what is held; see ``Commands.hold``."""
+        """Hold a velocity; see ``Commands.hold``."""
         self._node.publish(self.commands.hold(held, until_s))
 
     def stop_for_emergency(self) -> None:
-        """Stop, and stay so until the robot is armed."""
+        """Stop until the robot is armed."""
         if not self.commands.emergency:
-            self._say("EMERGENCY STOP, until somebody arms the robot")
+            self._say("EMERGENCY STOP, until the robot is armed")
         self._node.publish(self.commands.stop_for_emergency())
 
     def begin(
@@ -232,10 +237,24 @@ class Operator:
         there: Callable[[], bool] = lambda: True,
         begun: Callable[[ResetReply], None] = lambda _: None,
     ) -> bool:
-        """Arm the robot if it has to be, and ask for an episode, which will be this operator's; return whether.
+        """Arm the robot if necessary, and request an episode of this operator.
 
-        ``prepare`` is called first, on another thread; what it raises is told, and no episode begins. Both may take
-        long: nothing begins for a person who is not ``there`` any more. ``begun`` is called on the node's thread.
+        Parameters
+        ----------
+        request
+            The episode.
+        prepare
+            Called first, on another thread; if it raises an error, no episode begins.
+        there
+            Whether the person is still present; both steps can take long, and no episode begins
+            without them.
+        begun
+            Called with the reply on the node's thread.
+
+        Returns
+        -------
+        bool
+            Whether the request was sent.
         """
         request = request.model_copy(update={"session": self._node.session})
         arm = self._arming()
@@ -264,7 +283,7 @@ class Operator:
         return True
 
     def _reset(self, request: ResetRequest) -> ResetReply:
-        """Have the robot begin an episode."""
+        """Request an episode from the robot."""
         if request.driver != "teleop":
             self._hand_over()
         stays = request.world is None and request.variation is None
@@ -280,7 +299,7 @@ class Operator:
             self.request = request
 
     def withdraw(self) -> None:
-        """Have the episode that is being asked for not begin after all, though the robot may be opening its world."""
+        """Withdraw the requested episode, even while the robot opens its world."""
         mine = self._withdrawn
         if mine is not None:
             mine.set()
@@ -290,16 +309,16 @@ class Operator:
                 self._call("cancel", CancelRequest(session=self._node.session))
             except RpcError as error:
                 reason = str(error)
-                # What was asked for here, and is not being begun yet or any more, is ended by who asks for it.
+                # The thread that requested an episode here ends it itself.
                 self._answers.put(lambda: None if mine is not None else self._say(reason))
 
-        # Beside what is asked already: that ends by this.
+        # Concurrent with the request, which it ends.
         threading.Thread(target=cancel, name="cancel", daemon=True).start()
 
     def resume(self) -> None:
-        """Arm the robot if it has to be, and have whoever the operator has taken over from go on, or begin the next."""
+        """Arm the robot if necessary, and return control to its previous driver."""
         if self.commands.held is not None:
-            self._say("let go of the key first")
+            self._say("release the key first")
             return
         request = self._resuming()
         arm = self._arming()
@@ -316,7 +335,7 @@ class Operator:
         self.ask(ask)
 
     def end(self, *, found: bool, box: Box | None = None) -> None:
-        """End the episode, at its goal if the operator says so, who may say where in the last frame that is."""
+        """End the episode; with ``found`` at its goal, optionally with a box in the last frame."""
         applied = self.commands.applied
         if applied is None:
             self._say("no episode to end")
@@ -328,15 +347,15 @@ class Operator:
             self.ask(lambda: self._call("end", request))
 
     def end_mine(self, said: Said | None = None) -> None:
-        """End the episode that was begun here, with what the robot says, if it says anything."""
+        """End the episode that was begun here, with the robot's report if any."""
         if self.mine is not None:
             request = EndRequest(episode=self.mine, said=said, session=self._node.session)
             self.ask(lambda: self._call("end", request))
 
-    # -- asking ---------------------------------------------------------------------------------------------------
+    # -- requests ----------------------------------------------------------------------------------
 
     def ask(self, question: Callable[[], Callable[[], None] | None]) -> None:
-        """Ask something in a thread; what it returns, or says why not, is done on the node's thread."""
+        """Run a request on a thread; its result, or its error, is handled on the node's thread."""
 
         def refused(reason: str) -> None:
             self._say(reason)
@@ -353,7 +372,7 @@ class Operator:
             except JobError as error:
                 reason = str(error)
                 done = lambda: refused(reason)  # noqa: E731
-            except Exception:  # whatever it is: else nothing could ever be asked again
+            except Exception:  # Any error: otherwise no further request is possible.
                 self._node.log.exception("asking failed")
                 done = lambda: refused(self._node.own_fault)  # noqa: E731
             self._answers.put(done)
@@ -373,7 +392,7 @@ class Operator:
         return ResumeRequest(episode=heard.episode, tick=heard.tick, session=self._node.session)
 
     def _hand_over(self) -> None:
-        """End what this person has taken over, so that another driver may begin anew; on a thread that asks."""
+        """End the person's own control, so that another driver can begin; on a requesting thread."""
         detail = self._robot_detail()
         if not detail["taken_over"]:
             return
@@ -389,12 +408,12 @@ class Operator:
         return not self.asking
 
     def _arming(self) -> Callable[[], None] | None:
-        """Return what releases the stop that the operator knows of now; None where the robot may not be asked."""
+        """Return the function that releases the known stop; None if the robot must not be asked."""
         stop = self.commands.to_release
         if not self._may_ask():
             return None
         if stop is None:
-            self._say("the robot has not told yet whether it stands for a stop; press again")
+            self._say("the robot has not reported its stop yet; press again")
             return None
         self.commands.arming()
 

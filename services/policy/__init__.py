@@ -1,1 +1,1 @@
-"""States in, decisions and commands out."""
+"""Planning: states in, decisions and commands out."""

@@ -8,7 +8,7 @@ from services.policy.service import PolicyService
 
 
 def serve(node: Node, settings: ModelSettings) -> None:
-    """Decide until stopped."""
+    """Publish decisions and commands until stopped."""
     service = PolicyService()
     node.subscribe(topics.APPLIED, service.see_applied)
     node.subscribe(topics.ODOMETRY, service.sight.roll)

@@ -1,4 +1,4 @@
-"""One state in; a decision where one is due, and always a command, out."""
+"""Policy service: answers every state with a command, and with a decision if one is due."""
 
 import logging
 import math
@@ -21,40 +21,38 @@ from smal.paper.execution import DecisionMaker, Recognition
 from smal.paper.model import PaperModel
 from smal.planning import Planner
 
-DELAYS_KEPT: Final = (
-    10  # Reports of the actuator of whose delays the median is taken: those of a second.
-)
-SHOWN: Final = 100  # Places where something stands that are told with a decision, for people.
+# Number of delay reports for the median: one second.
+DELAYS_KEPT: Final = 10
+SHOWN: Final = 100  # Maximum obstacles in a decision, for display.
 _log = logging.getLogger("policy")
 
 
 class PolicyService:
-    """Answers every frame with a command; if recognition has another model, it stops the robot and drops its plan.
+    """Answers every frame with a command; stops and drops its plan if recognition has another model.
 
-    A model that is loaded is prepared here first, and taken with recognition's first state of it: until then it goes on
-    by the one before, so that no robot stands between two maps.
+    A loaded model is prepared here first, and used from recognition's first state with it. Until
+    then the previous model stays in use, so that the robot need not stop for the change.
     """
 
     def __init__(self) -> None:
         self._loaded: LoadedModel | None = None
         self._maker: _ByFilter | _ByPaper | None = None
-        self._before: tuple[LoadedModel, _ByFilter | _ByPaper] | None = (
-            None  # What recognition may still go by.
-        )
+        # Model that recognition can still use.
+        self._before: tuple[LoadedModel, _ByFilter | _ByPaper] | None = None
         self._last: tuple[State, list[Message]] | None = None
         self._foreign = 0
         self._complaints = Throttle()
-        self.sight = ObstacleSight()  # What stands about the robot; it goes round that.
-        #: How long its commands take to move the robot, by what the actuator has told lately.
+        self.sight = ObstacleSight()  # Obstacles around the robot, which the plan avoids.
+        #: Recent delays of its commands until the robot moves, as reported by the actuator.
         self._delays_s: deque[float] = deque([0.0], maxlen=DELAYS_KEPT)
 
     def load(self, loaded: LoadedModel) -> LoadReply:
-        """Work with another model, as soon as recognition does."""
+        """Work with another model as soon as recognition does."""
         model = loaded.model
         if self._before is None and self._loaded is not None and self._maker is not None:
             self._before = self._loaded, self._maker
         if self._before is not None and self._before[0].identity == loaded.identity:
-            self._before = None  # To another goal, or back: at once.
+            self._before = None  # A new goal in the same model applies at once.
         maker = _ByFilter(model, loaded.goal) if isinstance(model, Model) else _ByPaper(model)
         self._loaded = loaded
         self._maker = maker
@@ -64,22 +62,22 @@ class PolicyService:
 
     @property
     def loaded(self) -> LoadedModel | None:
-        """The model that it works with."""
+        """The model in use."""
         return self._loaded
 
     def hands_on(self) -> None:
-        """Return nothing: what it plans follows from the next state."""
+        """Return None: the plan follows from the next state."""
 
     def resume(self, state: State, wheels: Wheels | None) -> None:
-        """Plan anew."""
+        """Do nothing: the plan follows from the next state."""
 
     def see_applied(self, applied: CommandApplied) -> None:
-        """Take what the actuator tells of how long a command took."""
+        """Store the delay of a command, as reported by the actuator."""
         if applied.source == "policy" and applied.delay_ns is not None:
             self._delays_s.append(applied.delay_ns / 1e9)
 
     def handle(self, state: State) -> list[Message]:
-        """Return the decision, if one is due at this frame, and the command for it."""
+        """Return the decision, if one is due at this frame, and the command."""
         if self._loaded is None or self._maker is None or state.status == "idle":
             return []
         loaded = self._loaded
@@ -94,7 +92,8 @@ class PolicyService:
         if self._last is not None:
             last, answer = self._last
             if (last.episode, last.tick) == (state.episode, state.tick):
-                # The simulator asked again because an answer was lost: the same answer, the plan unchanged.
+                # The simulator asked again after a lost answer: repeat the answer, with the plan
+                # unchanged.
                 return answer
             if last.episode != state.episode:
                 maker.reset()
@@ -103,20 +102,26 @@ class PolicyService:
         return answer
 
     def _refuse(self, state: State, loaded: LoadedModel, maker: "_ByFilter | _ByPaper") -> Command:
-        """Stop, and have nothing left to do when the states are of the right model again."""
+        """Stop, and drop the plan for when the states belong to this model again."""
         maker.reset()
         self._last = None
         self._foreign += 1
         if self._complaints.due():
-            why = f"recognition has model {state.model}, policy has {loaded.identity}; load the same into both"
+            why = (
+                f"recognition has model {state.model}, policy has {loaded.identity}; "
+                "load the same into both"
+            )
             if state.model == loaded.identity:
-                why = f"a state has no place in model {state.model}, of which it is; check who publishes states"
-            _log.warning("stopping: %s (%s, %d states so far)", why, loaded.name, self._foreign)
+                why = (
+                    f"invalid state: no such place in its model {state.model}; "
+                    "check the publishers of states"
+                )
+            _log.warning("stopping: %s (%s, %d states in total)", why, loaded.name, self._foreign)
         return Command.after(state, source="policy", atom="stop")
 
     def detail(self) -> Detail:
-        """Tell the loaded model, and how many states were of another one since it was loaded."""
-        # This runs on a thread of the bus: the model may be replaced at any time.
+        """Return the loaded model, and the number of states of other models since it was loaded."""
+        # This runs on a thread of the bus: the model can change at any time.
         loaded = self._loaded
         return (
             {"model": None}

@@ -1,1 +1,1 @@
-"""Observations and odometry in, where the robot is in what was taught out."""
+"""Localisation: observations and odometry in, the robot's place along the taught ways out."""

@@ -8,14 +8,14 @@ from services.recognition.service import RecognitionService
 
 
 class RecognitionSettings(ModelSettings):
-    """What recognition goes by."""
+    """Settings of recognition."""
 
     watch: bool = False
-    """Look for ground that is not as it was taught, for a robot without a depth camera to stop before."""
+    """Detect unexpected ground, for a robot without a depth camera to stop before."""
 
 
 def serve(node: Node, settings: RecognitionSettings) -> None:
-    """Recognize states until stopped."""
+    """Publish states until stopped."""
     service = RecognitionService(settings.watch)
     service.behind = lambda: node.waits(topics.OBSERVATION)
     service.announce = node.publish

@@ -1,4 +1,4 @@
-"""One observation in, one state out."""
+"""Recognition service: localises the robot by each observation."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
@@ -26,25 +26,25 @@ from smal.movement import Atom
 from smal.paper.model import PaperModel
 from smal.robot import NO_GROUND, Localizer
 
-_KEPT: Final = (
-    100  # Odometry and commands that are kept until the observation of their frame comes, frames.
-)
-_MOST_DRIVES: Final = 1000  # Drives whose beginnings a message of the map has room for.
+# Frames whose odometry and commands are kept until their observation arrives.
+_KEPT: Final = 100
+_MOST_DRIVES: Final = 1000  # Maximum drives in a message of the map.
 
 
 class RecognitionService:
-    """Knows where the robot is, by the filter or by the paper's scheme.
+    """Localises the robot by the filter or by the paper's scheme.
 
-    A frame that another one already waits behind is left out by the filter, which goes by the odometry of the next, and
-    only taken in by the paper's scheme: answering it would make the newest answer later. In lockstep there is none.
-    One that `watches` tells where the ground ahead looks strange: for a robot without a depth camera.
-    A model that was taught without odometry has the filter go by what the actuator did instead.
+    If a newer frame already waits, the filter skips a frame, since the odometry of the next covers
+    it; the paper's scheme stores it without an answer. Otherwise the newest answer is delayed. In
+    lockstep this never happens. With `watches`, states include the distance of unexpected ground,
+    for a robot without a depth camera. For a model taught without odometry, the filter uses the
+    commands of the actuator instead.
     """
 
     def __init__(self, watches: bool = False) -> None:
         self._watches = watches
         self.behind: Callable[[], bool] = lambda: False  # Whether newer observations wait.
-        #: Told where the keyframes are, before the first belief of an episode tells of them.
+        #: Receives the poses of the keyframes before the first belief of an episode.
         self.announce: Callable[[TaughtMap], None] = lambda _map: None
         self._loaded: LoadedModel | None = None
         self._localizer: _ByFilter | _ByPaper | None = None
@@ -54,7 +54,7 @@ class RecognitionService:
         self._waiting: Observation | None = None
 
     def load(self, loaded: LoadedModel) -> LoadReply:
-        """Work with another model from now on; where its keyframes are those of the one before, so is the belief."""
+        """Work with another model; with the same keyframes the belief is kept."""
         model = loaded.model
         before = self._loaded
         handed = self.hands_on()
@@ -75,21 +75,21 @@ class RecognitionService:
 
     @property
     def loaded(self) -> LoadedModel | None:
-        """The model that it works with."""
+        """The model in use."""
         return self._loaded
 
     def hands_on(self) -> tuple[State, Wheels | None] | None:
-        """Return the last state and the odometry of its frame; None where there was none."""
+        """Return the last state and the odometry of its frame, or None."""
         last = self._last
         return None if last is None else (last, self._odometry.get((last.episode, last.tick)))
 
     def resume(self, state: State, wheels: Wheels | None) -> None:
-        """Go on from what another instance believed; from nothing where that does not fit the model."""
+        """Continue from another instance's belief if it fits the model."""
         if self._localizer is not None and self._localizer.resume(state, wheels):
             self._last = state
 
     def see(self, odometry: Odometry) -> State | None:
-        """Take the odometry of a frame, which may come before or after its observation."""
+        """Store the odometry of a frame, which can arrive before or after its observation."""
         self._odometry[odometry.episode, odometry.tick] = (
             odometry.x_m,
             odometry.y_m,
@@ -102,16 +102,17 @@ class RecognitionService:
         return self._answer(waiting)
 
     def see_applied(self, applied: CommandApplied) -> None:
-        """Take what the actuator does from a frame on; of several in one frame the last moves the robot to the next."""
+        """Store the actuator's motion from a frame on; the last report of a frame counts."""
         last = self._applied.get((applied.episode, applied.tick))
         if last is None or applied.sequence > last.sequence:
             self._applied[applied.episode, applied.tick] = applied
         _forget(self._applied)
 
     def _atoms(self, episode: str, since: int, until: int) -> list[Atom | Velocity]:
-        """Return what the actuator did between two frames; where that is not known, what it did before.
+        """Return the actuator's motion between two frames; unknown frames repeat the motion before.
 
-        The policy's velocities are shares of what the map was taught by; those of others are of the robot.
+        The policy's velocities are shares of the taught speeds; those of other sources are shares
+        of the robot's.
         """
         atoms: list[Atom | Velocity] = [Atom.STOP]
         for tick in range(since, until):
@@ -125,16 +126,22 @@ class RecognitionService:
         return atoms[1:]
 
     def handle(self, observation: Observation) -> State | None:
-        """Return the state at one frame; ``collecting`` where no decision is due, None where its odometry is to come.
+        """Return the state at one frame, or None while its odometry is missing.
 
-        Raises ServiceError when the observation was made with other features than the model.
+        Without a due decision the status is ``collecting``.
+
+        Raises
+        ------
+        ServiceError
+            If the observation has other features than the model.
         """
         if self._loaded is None or self._localizer is None:
             return State.after(observation, status="idle")
         wanted = self._loaded.model.feature_settings.fingerprint
         if observation.fingerprint != wanted:
             raise ServiceError(
-                f"observations have the features {observation.fingerprint}, the model {wanted}; learn the model again"
+                f"observations have the features {observation.fingerprint}, the model {wanted}; "
+                "learn the model again"
             )
         last = self._last
         waiting = self._waiting
@@ -142,7 +149,7 @@ class RecognitionService:
             observation.episode,
             observation.tick,
         ):
-            # The simulator sent the frame again because an answer was lost: the same answer, nothing else changed.
+            # The simulator resent the frame after a lost answer: repeat the answer.
             return last
         again = waiting is not None and (waiting.episode, waiting.tick) == (
             observation.episode,
@@ -155,7 +162,7 @@ class RecognitionService:
         return self._answer(observation)
 
     def _answer(self, observation: Observation) -> State | None:
-        assert self._localizer is not None  # noqa: S101 - without a model nothing waits
+        assert self._localizer is not None  # noqa: S101 - observations wait only with a model
         self._waiting = None
         last = (
             self._last
@@ -186,21 +193,21 @@ class RecognitionService:
         return found
 
     def detail(self) -> Detail:
-        """Tell the loaded model."""
-        # This runs on a thread of the bus: the model may be replaced at any time.
+        """Return the loaded model."""
+        # This runs on a thread of the bus: the model can change at any time.
         loaded = self._loaded
         return {"model": None} if loaded is None else loaded.detail()
 
 
 def _same_keyframes(one: AnyModel, other: AnyModel) -> bool:
-    """Whether two maps have the same keyframes, as one that was taught further looks and the one before."""
+    """Return whether two maps have the same keyframes, as after further teaching of looks."""
     if not isinstance(one, Model) or not isinstance(other, Model):
         return False
     return np.array_equal(one.mapped.key_poses, other.mapped.key_poses)
 
 
 def _forget(kept: dict[tuple[str, int], Any]) -> None:
-    """Forget the oldest of what is kept by frame."""
+    """Remove the oldest entries."""
     while len(kept) > _KEPT:
         del kept[next(iter(kept))]
 
@@ -244,7 +251,7 @@ class _ByFilter:
         return State.after(observation, model=self._identity, **fields_of(located))
 
     def taught_map(self) -> Iterator[dict[str, Any]]:
-        """Yield where the keyframes are, as the fields of its message."""
+        """Yield the poses of the keyframes as message fields."""
         drives = self._mapped.key_drives
         begins = np.flatnonzero(np.diff(drives, prepend=-1))[:_MOST_DRIVES].tolist()
         poses = in_common_axes(self._mapped).astype(np.float32)
@@ -255,7 +262,7 @@ class _ByPaper:
     by_odometry = False
 
     def __init__(self, model: PaperModel, loaded: LoadedModel) -> None:
-        from smal.paper.recognition import Recognizer  # noqa: PLC0415 - who goes by a map needs none of it
+        from smal.paper.recognition import Recognizer  # noqa: PLC0415 - unused with a map
 
         self._length = model.sequence_length
         self._loaded = loaded
@@ -265,10 +272,10 @@ class _ByPaper:
         self._recognizer.reset()
 
     def resume(self, _state: State, _wheels: Wheels | None) -> bool:
-        return False  # Its window is of frames, which nobody keeps.
+        return False  # Its window consists of frames, which are not stored.
 
     def taught_map(self) -> Iterator[dict[str, Any]]:
-        """Yield nothing: states of the paper have no places."""
+        """Yield nothing: the paper's states have no places."""
         yield from ()
 
     def observe(
@@ -279,7 +286,8 @@ class _ByPaper:
         *,
         behind: bool,
     ) -> State:
-        # The first decision is due with the first whole window, the others follow at equal distances.
+        # The first decision is due with the first full window, the others follow at a fixed
+        # interval.
         first = self._length - 1
         due = (observation.tick - first) % self._loaded.stride == 0 and not behind
         found = asdict(

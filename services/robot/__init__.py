@@ -1,1 +1,1 @@
-"""What drives anything with wheels: which command is obeyed, and when an episode ends."""
+"""Actuation of any wheeled robot: the choice of the obeyed command, and the episodes."""

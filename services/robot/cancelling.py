@@ -1,4 +1,4 @@
-"""The cancelling of an episode that is being begun: another world may take minutes to open."""
+"""Cancellation of an episode while it begins: opening another world can take minutes."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,33 +9,33 @@ from services.kit.node import ServiceError
 
 
 class CancelledError(ServiceError):
-    """The beginning was cancelled; the text says by whom."""
+    """The beginning was cancelled; the text names who did it."""
 
 
 class Cancelling:
-    """Ends what one thread begins because another one says so; ``cancel`` may be called on any thread."""
+    """Cancels the beginning of an episode from any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._asker: str | None = (
-            None  # Who has asked for what is being begun; None while nothing is.
-        )
+        # Session that requested the episode that is beginning; None while idle.
+        self._asker: str | None = None
         self._by: str | None = None
 
     def cancel(self, session: str, operator: str | None) -> None:
-        """End what is being begun; ServiceError unless who asked for it, or the operator (a session), says so."""
+        """Cancel the beginning; ServiceError unless the requester or the operator calls."""
         with self._lock:
             if self._asker is None:
-                raise ServiceError("there is nothing to cancel: no episode is being begun")
+                raise ServiceError("no episode is beginning; nothing to cancel")
             if session not in (self._asker, operator):
                 raise ServiceError(
-                    "only who asked for this episode, or the operator, may cancel it"
+                    "permission denied: only the requester of this episode or the operator "
+                    "may cancel it"
                 )
-            self._by = "who asked for it" if session == self._asker else "the operator"
+            self._by = "its requester" if session == self._asker else "the operator"
 
     @contextmanager
     def beginning(self, session: str) -> Iterator[None]:
-        """Begin what a session has asked for. Raises CancelledError, at the next step or at the end, once cancelled."""
+        """Begin an episode for a session; a cancellation raises CancelledError at the next step."""
         with self._lock:
             self._asker = session
             self._by = None

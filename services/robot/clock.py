@@ -4,10 +4,10 @@ import time
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-TICK_S: Final = 0.1  # Time from one camera frame to the next, seconds (10 Hz).
-PULSE_S: Final = (
-    0.05  # Time from one pulse, which the robot's operator answers, to the next, seconds.
-)
+# Time between two camera frames, seconds (10 Hz).
+TICK_S: Final = 0.1
+# Time between two pulses, which the robot's operator answers, seconds.
+PULSE_S: Final = 0.05
 
 
 class Clocks(NamedTuple):
@@ -18,7 +18,7 @@ class Clocks(NamedTuple):
 
 
 def now_s() -> float:
-    """Return seconds that nobody can set, and that pass in suspension too: no command looks fresh after it."""
+    """Return seconds of a clock that cannot be set and that continues during suspension."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 

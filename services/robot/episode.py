@@ -1,9 +1,11 @@
-"""One episode: frame after frame, and what ends it. The one loop that services, experiments and Gymnasium share.
+"""An episode: its frames and its end, shared by services, experiments and Gymnasium.
 
-What ends an episode is all here. A frame does (`RunningEpisode.next_frame`): a collision, the goal of a run, the time.
-A word does (`RunningEpisode.end`): of the operator, or of the robot that it is found or not here, which the planner
-says (`smal.planning.Planner.said`), the policy tells (`schemas.action.Action.says`), and who began the run passes on
-(`services.cli.episodes.client`, the console's `Operator.end_mine`). Who begins another or is gone ends it, too.
+A frame ends an episode (`RunningEpisode.next_frame`) by a collision, the goal of a run, or the
+timeout. A report ends it (`RunningEpisode.end`): the operator's, or the robot's that it has found
+the goal or that the goal is not here. The planner decides on the report
+(`smal.planning.Planner.said`), the policy publishes it (`schemas.action.Action.says`), and the
+client that began the run passes it on (`services.cli.episodes.client`, the console's
+`Operator.end_mine`). An episode also ends when another begins or its client is gone.
 """
 
 from typing import Generic, NamedTuple, TypeVar
@@ -17,7 +19,7 @@ V = TypeVar("V", bound=View)
 
 
 class Ended(NamedTuple):
-    """How an episode ended, as `schemas.episode.Episode` tells it."""
+    """Outcome of an episode, as in `schemas.episode.Episode`."""
 
     outcome: Outcome
     judge: Judge | None = None
@@ -26,7 +28,7 @@ class Ended(NamedTuple):
 
 
 class RunningEpisode(Generic[V]):
-    """One episode of a body, which drives between one frame and the next; ServiceError when it cannot do as asked."""
+    """An episode of a body, which drives between two frames; ServiceError if it cannot begin."""
 
     def __init__(self, body: Body[V], task: Task[V], request: ResetRequest) -> None:
         self.request = request
@@ -41,7 +43,7 @@ class RunningEpisode(Generic[V]):
 
     @property
     def reached(self) -> bool:
-        """Whether the last frame shows that the goal is reached; looked at once a frame."""
+        """Whether the last frame shows the goal; evaluated once per frame."""
         if self._reached is None:
             self._reached = self._task.reached(self.view, self.request.goal)
         return self._reached
@@ -49,9 +51,9 @@ class RunningEpisode(Generic[V]):
     def next_frame(self, *, by_hand: bool = False) -> V:
         """Take the next frame, and set ``outcome`` if the episode ends with it.
 
-        A collision counts before the goal. A run ends as soon as its goal is reached, or, `until_said`, by `end`; a
-        drive goes on until its driver has arrived, or the time is out. While a person has taken over, no time passes.
-        Frame 0 ends nothing.
+        A collision precedes the goal. A run ends as soon as its goal is reached or, with
+        `until_said`, by `end`. A drive continues until its driver has arrived, or until the
+        timeout. The time stands while a person has taken over. Frame 0 ends nothing.
         """
         self.tick += 1
         self._timed += not by_hand
@@ -61,7 +63,7 @@ class RunningEpisode(Generic[V]):
         timed_out = limit is not None and not by_hand and self._timed >= limit
         if self.view.contact:
             self.outcome = "collision"
-        # Whether the goal is reached is asked only where it matters: to look for a victim takes a picture more.
+        # The check for the goal renders another image, so it runs only when it matters.
         elif (self.request.purpose == "run" or timed_out) and self.reached:
             self.passed = True
             self.outcome = None if self.request.until_said else "found"
@@ -70,9 +72,10 @@ class RunningEpisode(Generic[V]):
         return self.view
 
     def end(self, said: Said | None = None, *, told: bool = False) -> Ended:
-        """End with what the robot says, which the task judges; without a word; or as the operator told that it found.
+        """End by the robot's report, by the operator's confirmation, or by neither.
 
-        Where nobody can judge, or nobody has said anything, it is found if the last frame shows it, and else aborted.
+        Without a judge or a report the outcome is found if the last frame shows the goal, and
+        otherwise aborted.
         """
         if told and not self.reached:
             self._task.told(self.view, self.request.goal)

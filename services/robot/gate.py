@@ -1,9 +1,10 @@
-"""The last check before the wheels: which command the actuator obeys, if any.
+"""The last check before the wheels: the choice of the command that the actuator obeys.
 
-Everything is judged on the actuator's own clock. A command names the frame (tick) that it descends from, and the gate
-remembers when it captured that frame; so neither a wrong clock in another process, nor a clock that jumps, nor a
-process that was frozen and wakes with old plans can make an old command look fresh. An operator's sign of life names
-the pulse that it answers, and is as old as that: by a slow link nobody who was there looks as if they were there now.
+All times are on the actuator's own clock. A command names the frame (tick) that it descends from,
+and the gate stores when it captured that frame. Therefore an old command never becomes fresh. A
+wrong or jumping clock in another process cannot make it so, nor can a process that was frozen and
+wakes with old plans. A heartbeat names the pulse that it answers, and is as old as that pulse, so a
+slow link cannot make an absent operator seem present.
 """
 
 import math
@@ -20,19 +21,22 @@ from services.robot.body import Kinematics
 from services.robot.guard import Guard
 from services.robot.wheels import WheelCheck
 
-#: Silence at which a command is no longer obeyed, seconds since it came. The robot must stand 0.5 s after the last
-#: command; the rest is for braking, see `services.robot.loop`.
+#: Time since its arrival at which a command expires, seconds. The robot must stand 0.5 s after the
+#: last command; the rest is for braking, see `services.robot.loop`.
 SILENCE_S: Final = 0.25
-#: Age at which it is not either, seconds since the capture of the frame that it descends from, unless the robot's
-#: settings say more. So on one machine, where answers come at once, silence is counted from the last answered frame.
+#: Age at which a command expires, seconds since the capture of its frame, unless the robot's
+#: settings allow more. On one machine, where answers are immediate, silence thus counts from the
+#: last answered frame.
 MAX_AGE_S: Final = SILENCE_S
-#: Age of the last pulse that was answered at which an operator is lost, seconds; five pulses. The answer may take what
-#: is left of that after one, 0.2 s, to and fro.
+#: Age of the last answered pulse at which the operator is lost, seconds: five pulses. Of this time
+#: the round trip of an answer has what one pulse leaves, 0.2 s.
 OPERATOR_S: Final = 0.25
-#: Silence after which another process of the same kind may command in place of one that was heard, seconds; a killed
-#: one that is started again takes longer.
+#: Silence after which another process of the same source can command, seconds; the restart of a
+#: killed process takes longer.
 LEASE_S: Final = 1.0
-INSISTED: Final = 0.2  # Share of its speed at which a robot goes on for a person who insists: it stands within a hand.
+# Share of its speed at which a robot continues for a person who insists: it stops within a hand's
+# width.
+INSISTED: Final = 0.2
 Refusal = Literal[
     "wrong episode",
     "not the driver",
@@ -54,7 +58,7 @@ Reason = Literal[
     "deaf",
     "emergency_stop",
 ]
-#: The last of several causes is reported: the operator has to know it to arm the robot.
+#: The last of several causes is reported: the operator needs it to arm the robot.
 _WEIGHT: Final[tuple[StopCause, ...]] = (
     "not_armed",
     "operator_lost",
@@ -66,15 +70,14 @@ _WEIGHT: Final[tuple[StopCause, ...]] = (
 
 @dataclass(frozen=True)
 class Applied:
-    """What the actuator does now, and which frame's command made it do so."""
+    """Motion of the actuator, and the frame whose command caused it."""
 
     velocity: Velocity
     source: Source | None
     reason: Reason
     answered_tick: int | None = None
-    age_s: float = field(
-        default=0.0, compare=False
-    )  # Age of the command, since the capture of its frame.
+    # Age of the command, since the capture of its frame.
+    age_s: float = field(default=0.0, compare=False)
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,7 @@ class _Accepted:
     command: Command
     captured_s: float
     offered_s: float
-    until_s: float  # When it is no longer obeyed.
+    until_s: float  # Time of its expiry.
 
     @property
     def order(self) -> tuple[int, int]:
@@ -91,33 +94,34 @@ class _Accepted:
 
 @dataclass(frozen=True)
 class _Operator:
-    """Whoever was the operator last; one who has left is kept, so that an old sign of life does not bring them back."""
+    """The last operator; kept after leaving, so that an old heartbeat stays invalid."""
 
     session: str
     name: str
     sequence: int
-    answered_s: float  # When the newest pulse was sent that they have answered.
+    answered_s: float  # Time of the newest pulse that they have answered.
     there: bool
 
 
 class CommandGate:
-    """Arbitrates between the sources of commands for one robot; every method may be called on any thread.
+    """Arbitrates between the sources of commands for one robot; thread-safe.
 
-    It begins with a stop latched, as `not_armed`: a robot that is started again moves for nobody until it is armed. The
-    first stop has a number by chance, so that none from before a restart is released; ``first_stop`` sets it.
+    The gate starts with a latched stop, `not_armed`: a restarted robot moves only after it is
+    armed. The first stop has a random number, so that a release from before a restart is invalid;
+    ``first_stop`` sets it.
 
-    A command expires `SILENCE_S` after it came, and at an age counted from the capture of its frame: what a slow link
-    holds up is obeyed for less long, or not at all, and never stretches the silence. With ``attended``, an operator
-    must be there for the robot to move.
+    A command expires `SILENCE_S` after its arrival, and at an age counted from the capture of its
+    frame. A delayed command is obeyed for less time, or not at all; its delay never extends the
+    silence. With ``attended``, the robot moves only while an operator is present.
     """
 
     def __init__(
         self, max_age_s: float = MAX_AGE_S, *, attended: bool = False, first_stop: int | None = None
     ) -> None:
         self.max_age_s = max_age_s
-        #: What bounds the speed of whoever drives, where the robot sees what it may run into; and how it can move.
+        #: Bounds the speed of every driver by the visible obstacles.
         self.guard: Guard | None = None
-        self.wheels: WheelCheck | None = None  # Compares what is carried out with the odometry.
+        self.wheels: WheelCheck | None = None  # Compares the executed commands with the odometry.
         self.kinematics = Kinematics(1.0, 1.0)
         self.attended = attended
         self._lock = Lock()
@@ -125,25 +129,25 @@ class CommandGate:
         self._released = 0
         self._cause: StopCause = "not_armed"
         self._operator: _Operator | None = None
-        # By chance, so that no answer to a pulse from before a restart is one to another now.
+        # Random, so that an answer to a pulse from before a restart is invalid.
         self._pulse = secrets.randbits(48)
         self._pulsed_s: dict[int | None, float] = {}
         self._begin("", "policy")
 
-    # -- stops ----------------------------------------------------------------------------------------------------
+    # -- stops -------------------------------------------------------------------------------------
 
     @property
     def emergency_stop(self) -> int:
-        """Number of the latched stop; 0 where none is."""
+        """Number of the latched stop; 0 without a stop."""
         return self._stops if self._stops != self._released else 0
 
     @property
     def stop_cause(self) -> StopCause | None:
-        """What latched it."""
+        """Cause of the latched stop."""
         return self._cause if self.emergency_stop else None
 
     def stop(self, cause: StopCause = "emergency_stop") -> None:
-        """Latch a stop; of several causes the graver one is told until the robot is armed."""
+        """Latch a stop; the graver of several causes is reported until the robot is armed."""
         with self._lock:
             self._latch(cause)
 
@@ -152,20 +156,20 @@ class CommandGate:
         self._stops += 1
 
     def arm(self, stop: int, session: str) -> str | None:
-        """Release a stop by its number, or say why not.
+        """Release a stop by its number, or return why it stays.
 
-        Whoever releases one does not release another that came meanwhile. Nothing that was asked before counts, and a
-        driver that drove before does not go on: that takes ``resume``, or the next episode.
+        The number protects a later stop. Earlier commands expire, and an earlier driver continues
+        only after ``resume``, or in the next episode.
         """
         with self._lock:
             refusal = self.not_theirs(session)
             if refusal is not None:
                 return refusal
             if self.attended and self.operator is None:
-                return "no operator answers in time; this robot moves only while one does"
+                return "no operator answers in time; this robot moves only with a present operator"
             if not self.emergency_stop or stop != self.emergency_stop:
                 return (
-                    "another stop was latched meanwhile"
+                    "another stop was latched since; arm again"
                     if self.emergency_stop
                     else "no stop is latched"
                 )
@@ -174,16 +178,16 @@ class CommandGate:
             self._released = stop
             return None
 
-    # -- the operator ---------------------------------------------------------------------------------------------
+    # -- the operator ------------------------------------------------------------------------------
 
     @property
     def operator(self) -> str | None:
-        """Session of the operator who is there, if any."""
+        """Session of the present operator, if any."""
         operator = self._operator
         return operator.session if operator is not None and operator.there else None
 
     def pulse(self, now_s: float) -> int:
-        """Return the number of the pulse that is sent now; older ones than an operator may answer are forgotten."""
+        """Return the number of the pulse that is sent now, and forget pulses too old to answer."""
         with self._lock:
             self._pulse += 1
             self._pulsed_s = {
@@ -193,7 +197,7 @@ class CommandGate:
             return self._pulse
 
     def hear(self, beat: Heartbeat, now_s: float) -> None:
-        """Take an operator's sign of life, unless it answers no recent pulse, or another operator is there."""
+        """Accept a heartbeat that answers a recent pulse if no other operator is present."""
         with self._lock:
             answered_s = self._pulsed_s.get(beat.answers, -math.inf)
             last = self._operator
@@ -213,7 +217,7 @@ class CommandGate:
                     self._latch("operator_lost")
 
     def watch(self, now_s: float) -> None:
-        """Latch a stop where the operator has answered no pulse for too long, by the clock of ``pulse``."""
+        """Latch a stop if the operator has answered no pulse for `OPERATOR_S`."""
         with self._lock:
             last = self._operator
             if last is not None and last.there and now_s - last.answered_s > OPERATOR_S:
@@ -221,13 +225,13 @@ class CommandGate:
                 self._latch("operator_lost")
 
     def not_theirs(self, session: str) -> str | None:
-        """Say why a session may not do something; where an operator is there, it is the operator's alone to do."""
+        """Return why a session is denied; a present operator has the sole permission."""
         operator = self._operator
         if operator is not None and operator.there and operator.session != session:
-            return f"only the operator (at {operator.name}) may do that"
+            return f"permission denied: only the operator (at {operator.name}) may do that"
         return None
 
-    # -- episodes -------------------------------------------------------------------------------------------------
+    # -- episodes ----------------------------------------------------------------------------------
 
     @property
     def taken_over(self) -> bool:
@@ -248,16 +252,17 @@ class CommandGate:
         self.refused: Counter[Refusal] = Counter()
 
     def resume(self, episode: str | None, tick: int, session: str) -> str | None:
-        """Let the driver go on after a person had taken over, or say why not; what was asked before no longer counts.
+        """Return control to the driver after a person took over, or return why not.
 
-        Episode and tick are of the newest frame that the person had heard of; there is no episode where none runs.
+        Earlier commands expire. Episode and tick belong to the newest frame that the person
+        received; the episode is None between episodes.
         """
         with self._lock:
             mine = self._latest.get("teleop")
             if episode is not None and (
                 episode != self._episode or (mine is not None and mine.command.tick > tick)
             ):
-                return "another episode has begun, or the person has commanded since"
+                return "another episode has begun, or the person has commanded since; resume again"
             refusal = self.not_theirs(session)
             if refusal is None:
                 self._taken_over = False
@@ -265,27 +270,27 @@ class CommandGate:
             return refusal
 
     def _expire(self) -> None:
-        # Their order goes on to count: a command that comes twice is refused.
+        # Their order stays: a repeated command is refused.
         self._latest = {
             source: replace(one, until_s=-math.inf) for source, one in self._latest.items()
         }
 
     def captured(self, tick: int, now_s: float) -> None:
-        """Remember when a frame was captured; older frames than any fresh command may name are forgotten."""
+        """Store the capture time of a frame; forget frames that are too old for a fresh command."""
         with self._lock:
             self._captured_s = {
                 t: at for t, at in self._captured_s.items() if now_s - at <= self.max_age_s
             }
             self._captured_s[tick] = now_s
 
-    # -- commands -------------------------------------------------------------------------------------------------
+    # -- commands ----------------------------------------------------------------------------------
 
     def offer(self, command: Command, now_s: float) -> Refusal | None:
-        """Take a command, or say why not.
+        """Accept a command, or return why it is refused.
 
-        An emergency stop is taken whatever its age, order and episode, and without an episode too: it can only make
-        the robot stand. It stays until ``arm`` releases it. A person's command takes over from any other driver, for
-        good: where the person falls silent the robot stands until ``resume``.
+        An emergency stop is always accepted, whatever its age, order and episode: it can only stop
+        the robot. It stays until ``arm`` releases it. A person's command takes over from any other
+        driver until ``resume``; if the person falls silent, the robot stands.
         """
         if command.source == "emergency_stop":
             self.stop()
@@ -305,9 +310,8 @@ class CommandGate:
         refusal = self._check_sender(command, now_s)
         if refusal is not None:
             return refusal
-        if not all(
-            -1.0 <= share <= 1.0 for share in command.velocity
-        ):  # NaN is not between them either
+        # NaN fails both comparisons.
+        if not all(-1.0 <= share <= 1.0 for share in command.velocity):
             return "not finite"
         last = self._latest.get(command.source)
         if (
@@ -318,7 +322,7 @@ class CommandGate:
             return "out of order"
         captured_s = self._captured_s.get(command.tick)
         if captured_s is None:
-            # Either forgotten because it is too old, or never captured at all.
+            # The frame was forgotten because of its age, or never captured.
             return (
                 "stale"
                 if self._captured_s and command.tick < min(self._captured_s)
@@ -343,25 +347,25 @@ class CommandGate:
         return None
 
     def expect_anybody(self) -> None:
-        """End the leases: in lockstep time stands, and a driver that was started again has to be heard."""
+        """End the leases: in lockstep time stands, and a restarted driver must be accepted."""
         with self._lock:
             self._latest = {
                 source: replace(one, offered_s=-math.inf) for source, one in self._latest.items()
             }
 
     def answered(self, tick: int) -> bool:
-        """Whether the driver has commanded for this very frame."""
+        """Return whether the driver has commanded for this frame."""
         with self._lock:
             latest = self._latest.get(self._driver)
             return latest is not None and latest.command.tick == tick
 
     def applied(self, now_s: float, *, deaf: bool = False) -> Applied:
-        """Return what the actuator has to do now: the fresh command of whoever drives, or stand.
+        """Return the motion of the actuator: the fresh command of the current driver, or standing.
 
-        While a stop might not reach the robot (``deaf``) it stands. Then it goes on by itself: the loss of an operator
-        is latched as such, and an operator repeats a stop until the robot reports that it stands for it.
-        The guard is asked without the lock: no stop waits for it. What came meanwhile counts: a stop, another command,
-        or another episode.
+        While a stop might not reach the robot (``deaf``) it stands, without a latched stop. The
+        loss of an operator is latched separately, and an operator repeats a stop until the robot
+        reports it. The guard runs without the lock, so that no stop waits for it. Changes during
+        that time count: a stop, another command, or another episode.
         """
         latest = self._obeyed(now_s, deaf=deaf)
         while not isinstance(latest, Applied):
@@ -377,7 +381,7 @@ class CommandGate:
         return latest
 
     def _obeyed(self, now_s: float, *, deaf: bool) -> _Accepted | Applied:
-        """Return the command that is obeyed now, or why the robot stands."""
+        """Return the obeyed command, or why the robot stands."""
         with self._lock:
             if self.emergency_stop:
                 cause: Source | None = "emergency_stop" if self._cause == "emergency_stop" else None
@@ -390,7 +394,7 @@ class CommandGate:
             return latest
 
     def carries_out(self, velocity: Velocity, now_s: float) -> None:
-        """Take what the actuator carries out from now on."""
+        """Store the velocity that the actuator executes from now on."""
         if self.wheels is not None:
             self.wheels.told(velocity, now_s)
 
@@ -403,14 +407,15 @@ def bounded(
     *,
     insists: bool = False,
 ) -> tuple[Velocity, Reason]:
-    """Return how a robot moves that is asked to, and why: no more sharply than it can, nor fast into anything."""
+    """Return the feasible, safe velocity nearest to a command, and its reason."""
     may = kinematics.bounded(asked)
     share = 1.0 if guard is None else guard.share(may, now_s)
     if guard is not None and share < abs(may.linear):
         reason: Reason = "obstacle" if guard.sees(now_s) else "no_depth"
         if insists and share < INSISTED:
             reason = "insisted"
-        # Slower along the same arc; where it may not go on at all it may turn on the spot, but not as a car.
+        # Slower along the same arc. If it must stop, a robot (but not a car) can still turn on the
+        # spot.
         slower = min(INSISTED if reason == "insisted" else share, abs(may.linear)) / abs(may.linear)
         return kinematics.bounded(
             Velocity(slower * may.linear, (slower or 1.0) * may.angular)

@@ -1,11 +1,12 @@
 """Bound the robot's speed by its depth camera, for every driver.
 
-The robot drives only as fast as it can stop before the first obstacle on its way, or before ground that is not known to
-be free. A depth camera that is silent, shows no ground or is late makes nothing free. Turning on the spot touches
-nothing new.
+The robot drives only as fast as it can stop before the first obstacle on its way, or before ground
+that is not known to be free. If the depth camera is silent, shows no ground or is late, no ground
+is free. Turning on the spot needs no free ground.
 
-The policy computes an occupancy grid of the same depth images. The guard keeps its own: it must hold whatever another
-process sends, or fails to send. A look of 320x240 costs it 2 ms of processor time.
+The policy computes an occupancy grid of the same depth images. The guard keeps its own: it must
+hold whatever another process sends, or fails to send. A look of 320x240 costs it 2 ms of processor
+time.
 """
 
 import math
@@ -22,28 +23,27 @@ from services.robot.clock import TICK_S
 from smal.obstacles.capture_time import CaptureTime
 from smal.obstacles.clearance import Mount, Surroundings, most_speed
 
-MAX_LOOK_S: Final = (
-    0.25  # Age of a look at which nothing is free any more, seconds; as of commands.
-)
-_STEPS: Final = 20  # Steps of a share: each change of it is published.
+# Age of a depth image after which no ground is free, seconds; equal to that of commands.
+MAX_LOOK_S: Final = 0.25
+_STEPS: Final = 20  # Number of steps of a share: each change of it is published.
 
 
 def guard_of(body: Body[View]) -> "Guard | None":
-    """Return what guards a body; None where it has no depth camera."""
+    """Return the guard of a body; None without a depth camera."""
     return None if body.mount is None else Guard(body.mount, body.kinematics, body.braking_s)
 
 
 class _Known:
-    """What one look has shown: it stays as it is, and keeps how far every velocity may go."""
+    """Immutable result of one depth image, with a cache of the free distance by velocity."""
 
     def __init__(self, around: Surroundings | None, taken_s: float) -> None:
         self._around = around
-        self.taken_s = taken_s  # When the depth image was taken.
+        self.taken_s = taken_s  # Capture time of the depth image.
         self._free_m = dict[Velocity, float]()
         self.granted = 0.0  # Largest share of the speed that was granted since.
 
     def free_m(self, velocity: Velocity, kinematics: Kinematics) -> float:
-        """Return how far the way along the arc of a velocity was free when the image was taken."""
+        """Return the free distance along the arc of a velocity at the time of the image."""
         if self._around is None:
             return 0.0
         if velocity not in self._free_m:
@@ -54,7 +54,10 @@ class _Known:
 
 
 class Guard:
-    """Bounds the speed of a round robot; ``look`` is called by one thread, ``share`` by any, and never waits for it."""
+    """Bounds the speed of a round robot.
+
+    One thread calls ``look``. Any thread can call ``share``, which never waits for ``look``.
+    """
 
     def __init__(self, mount: Mount, kinematics: Kinematics, braking_s: float) -> None:
         self._mount = mount
@@ -62,20 +65,17 @@ class Guard:
         self._braking_s = braking_s
         self._around = Surroundings(mount.radius_m)  # Used by ``look`` alone.
         self._capture_time = CaptureTime(mount)
-        self._lock = (
-            threading.Lock()
-        )  # Held for the few lines that grant a share, or put a look in place of another.
-        self._known = self._before = _Known(
-            None, -math.inf
-        )  # By the last look, and by the one before.
+        # Held for the few lines that grant a share, or replace the result.
+        self._lock = threading.Lock()
+        self._known = self._before = _Known(None, -math.inf)  # The last result, and the one before.
 
     def look(
         self, depth_m: NDArray[np.float32] | None, pose: Sequence[float], captured_s: float
     ) -> None:
-        """Take a depth image, and the pose by the wheels at its stamp.
+        """Take a depth image, and the odometry pose at its stamp.
 
-        An image may be older than its stamp: it counts as of the moment and the pose at which it was taken, and not at
-        all if it is too old, or shows no ground.
+        An image can be older than its stamp. It counts as of its estimated time and pose, and is
+        ignored if it is too old or shows no ground.
         """
         self._capture_time.note(pose, captured_s)
         if depth_m is None:
@@ -89,11 +89,11 @@ class Guard:
             self._known = known
 
     def sees(self, now_s: float) -> bool:
-        """Return whether the depth camera has shown the ground lately."""
+        """Return whether the depth camera has recently shown the ground."""
         return now_s - self._known.taken_s <= MAX_LOOK_S
 
     def share(self, velocity: Velocity, now_s: float) -> float:
-        """Return the largest share of its speed, 0 to 1, at which it may go on along the arc of a velocity."""
+        """Return the largest safe share of its speed, 0 to 1, along the arc of a velocity."""
         if velocity.linear == 0.0:
             return 1.0
         known = self._known
@@ -103,13 +103,13 @@ class Guard:
             age_s = now_s - known.taken_s
             if age_s > MAX_LOOK_S:
                 return 0.0
-            # What it may have gone since.
+            # Distance travelled since the image.
             free_m -= age_s * speed_m_s * max(known.granted, self._before.granted)
-            # It goes on so for a tick before it can be told otherwise.
+            # The robot continues for a tick before its speed can change.
             share = (
                 math.floor(most_speed(free_m, speed_m_s, self._braking_s, TICK_S) * _STEPS) / _STEPS
             )
-            # A look that came meanwhile was taken before this share was granted.
+            # A concurrent result is older than this share.
             for one in (known, self._known):
                 one.granted = max(one.granted, share)
             return share

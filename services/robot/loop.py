@@ -1,4 +1,4 @@
-"""The last thread before the wheels: gate, then body, 50 times a second, and nothing that could wait."""
+"""The last thread before the wheels: gate, then body, 50 times a second, without waiting."""
 
 import logging
 import threading
@@ -13,17 +13,17 @@ from services.robot.body import Body, Stops, View
 from services.robot.clock import now_s
 from services.robot.gate import OPERATOR_S, SILENCE_S, Applied, CommandGate
 
-PERIOD_S: Final = 0.02  # Time from one look at the gate to the next.
-#: Age of the newest echo at which a lane counts as deaf, seconds; five of the robot's signs of life on each lane.
+# Period of the loop.
+PERIOD_S: Final = 0.02
+#: Age of the newest echo at which a lane counts as deaf, seconds; five of the robot's echoes.
 ECHO_S: Final = 0.25
-STAND_WITHIN_S: Final = (
-    0.5  # The robot stands this long, at most, after whoever moves it has fallen silent.
-)
+# Time limit to stand after the source of motion falls silent.
+STAND_WITHIN_S: Final = 0.5
 _log = logging.getLogger("robot")
 
 
 def stopping_times_s(body: Stops) -> dict[str, float]:
-    """Return how long the robot moves on at most, in seconds, by what falls silent: all delays together."""
+    """Return the maximum stopping times in seconds by the silent part: the sum of all delays."""
     return {
         "the driver": SILENCE_S + PERIOD_S + body.braking_s,
         "the operator": OPERATOR_S + PERIOD_S + body.braking_s,
@@ -33,21 +33,22 @@ def stopping_times_s(body: Stops) -> dict[str, float]:
 
 
 def check_stopping(body: Stops) -> None:
-    """Raise ServiceError for a body that would move for longer than `STAND_WITHIN_S` after somebody's silence."""
+    """Raise ServiceError if a body moves for longer than `STAND_WITHIN_S` after a silence."""
     for who, stands_s in stopping_times_s(body).items():
         if not stands_s <= STAND_WITHIN_S:
             raise ServiceError(
-                f"{body.name}: after the silence of {who} it would move for {stands_s:.2f} s, more than "
-                f"{STAND_WITHIN_S:g} s (braking takes {body.braking_s:.2f} s, its watchdog {body.watchdog_s:.2f} s)"
+                f"{body.name}: stopping time after the silence of {who} is too large "
+                f"({stands_s:.2f} s > maximum {STAND_WITHIN_S:g} s; braking takes "
+                f"{body.braking_s:.2f} s, its watchdog {body.watchdog_s:.2f} s)"
             )
 
 
 class ActuatorLoop:
-    """Carries out what the gate lets through, in a thread of its own, until it is closed.
+    """Executes the gate's command on a thread, until it is closed.
 
-    Where the body fails, a stop is latched: a robot that does not do what it is told is moved by nobody until somebody
-    has looked at it and arms it again. ``tell`` hears what is carried out whenever that changes; it must not wait.
-    While the robot is ``deaf`` to stops or commands it stands.
+    If the body fails, a stop is latched: after a fault a person must inspect the robot and arm it.
+    ``tell`` receives each change of the executed command, and must not wait. While the robot is
+    ``deaf`` to stops or commands it stands.
     """
 
     def __init__(
@@ -68,35 +69,36 @@ class ActuatorLoop:
         self._last_complaints = Throttle()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="actuator", daemon=True)
-        self.late = 0  # How many steps began later than the next one was due.
-        #: How old the command that is carried out was, from the capture of its frame, when it began to be.
+        self.late = 0  # Number of steps that began later than the next step was due.
+        #: Age of the executed command, since the capture of its frame, at the start of its
+        #: execution.
         self.delay_s = 0.0
         self._answered: int | None = None
 
     def start(self) -> None:
-        """Begin to move the robot."""
+        """Start the loop."""
         self._thread.start()
 
     def close(self) -> None:
-        """Leave the robot standing."""
+        """Stop the loop, and leave the robot standing."""
         self._ended.set()
         if self._thread.ident is not None:
             self._thread.join()
         self._stand()
 
     def step(self) -> None:
-        """Carry out what the gate lets through now."""
+        """Execute the gate's current command."""
         try:
             self._carry_out()
         except Exception as error:
             self._gate.stop("fault")
             if out_of_memory(error):
                 self._stand()
-                raise  # It ends the process.
+                raise  # Ends the process.
             if self._complaints.due():
                 expected = isinstance(error, ServiceError)
                 _log.error(
-                    "the body has failed: it stands until it is armed again: %s",
+                    "the body has failed; the robot stands until it is armed: %s",
                     error,
                     exc_info=not expected,
                 )
@@ -134,6 +136,4 @@ class ActuatorLoop:
             self._body.stand()
         except Exception:  # noqa: BLE001 - nothing more can be done here
             if self._last_complaints.due():
-                _log.exception(
-                    "the body does not take the order to stand; its own watchdog has to stop it"
-                )
+                _log.exception("the body failed to stand; its watchdog must stop it")

@@ -7,22 +7,22 @@ from schemas.base import Message
 from schemas.motion import Imu, ImuSample, Odometry
 from services.robot.body import ImuReading, OdometryReading, Triple
 
-# Digits after the point: a micrometre and a microradian, far below every noise, and a third of the bytes in recordings.
+# Decimal digits: micrometres and microradians are below the noise, and save a third of a recording.
 _DIGITS: Final = 6
 
 
 def rounded(reading: OdometryReading) -> OdometryReading:
-    """Return a reading with the digits that its message has."""
+    """Round a reading to the digits of its message."""
     return OdometryReading(*(round(value, _DIGITS) for value in reading))
 
 
 def odometry_message(header: Message, reading: OdometryReading) -> Odometry:
-    """Make the message of what the wheels tell."""
+    """Return the message of an odometry reading."""
     return Odometry.after(header, **rounded(reading)._asdict())
 
 
 def imu_message(header: Message, readings: Iterable[ImuReading]) -> Imu:
-    """Make the message of the inertial readings since the frame before."""
+    """Return the message of the inertial readings since the previous frame."""
     samples = tuple(
         ImuSample(
             after_s=round(reading.after_s, _DIGITS),

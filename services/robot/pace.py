@@ -1,4 +1,4 @@
-"""How time passes in an episode: in real time by the clock; another pace (the simulator's lockstep) may be given."""
+"""Passing of time in an episode: real time here, the simulator's lockstep elsewhere."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -16,40 +16,37 @@ from services.robot.gate import Applied, CommandGate
 from services.robot.loop import ActuatorLoop
 from services.robot.radio import RadioWindow
 
-#: What moves the robot changes at most 50 times a second; so much is told after an outage of 10 s, the newest.
+#: Maximum changes of motion that are reported after an outage: 10 s at 50 changes a second.
 CHANGES_KEPT: Final = 500
 V = TypeVar("V", bound=View)
 
 
 @dataclass
 class Running(Generic[V]):
-    """The state of the running episode."""
+    """State of the running episode."""
 
     id: str
     episode: RunningEpisode[V]
     pace: "Pace[V]"
-    begun_s: float  # When it began, by the gate's time and by the wall clock.
+    begun_s: float  # Start, by the gate's time and by the wall clock.
     begun_ns: int
-    #: When the last frame was captured; the wall clock is read once an episode, since it may be set meanwhile.
+    #: Capture time of the last frame; the wall clock is read once per episode, since it can be set.
     stamp_ns: int
-    client_s: float  # When the client that began it was last heard of.
-    client_beat: int = -1  # The number of its last sign of life.
-    found: bool = False  # Whether the goal has been reached at all.
+    client_s: float  # Time of the last heartbeat of the client that began it.
+    client_beat: int = -1  # Sequence number of that heartbeat.
+    found: bool = False  # Whether the goal has been reached in any frame.
     applied: Applied | None = None
-    said: int = 0  # How many times it was said in this tick what moves the robot.
-    #: When recent frames were ready to be sent, and how long each source's last accepted command took from then.
+    said: int = 0  # Number of reports of the motion in this tick.
+    #: Times at which recent frames were ready, and the latency of each source's last accepted
+    #: command.
     ready_s: dict[int, float] = field(default_factory=dict)
     latency_s: dict[Source, float] = field(default_factory=dict)
-    window: RadioWindow = field(
-        default_factory=RadioWindow
-    )  # Which frames have a picture, by radio.
-    frame: tuple[
-        Message, ...
-    ] = ()  # The messages of the last frame that a driver needs to answer it.
+    window: RadioWindow = field(default_factory=RadioWindow)  # Frames with an image, in radio mode.
+    frame: tuple[Message, ...] = ()  # Messages of the last frame that a driver needs to answer it.
 
     @property
     def request(self) -> ResetRequest:
-        """How it was asked for."""
+        """The request that began it."""
         return self.episode.request
 
     @property
@@ -59,59 +56,58 @@ class Running(Generic[V]):
 
 
 class Teller(Protocol[V]):
-    """Who takes the frames and tells of them: the runner, as far as a pace needs it."""
+    """Part of the runner that a pace uses."""
 
     gate: CommandGate
-    running: Running[V] | None  # The running episode, if any.
+    running: Running[V] | None
 
     def next_frame(self, run: Running[V]) -> Iterator[Message]:
         """Take the next frame, and end the episode if it ends with it."""
 
     def tell(self, run: Running[V], applied: Applied) -> CommandApplied:
-        """Make the record of what moves the robot."""
+        """Return the record of the robot's motion."""
 
     def header(self, run: Running[V]) -> Message:
-        """Return what every message of the last frame begins with."""
+        """Return the common header of the last frame's messages."""
 
     def end(self) -> list[Message]:
         """End the running episode."""
 
 
 class Pace(Protocol[V]):
-    """When the next frame is, and what moves the robot until then."""
+    """Schedule of the frames, and the motion between them."""
 
     def gate_s(self, tick: int) -> float:
-        """Return the gate's time, by which commands grow old, while ``tick`` is the last frame."""
+        """Return the gate's time, by which commands age, while ``tick`` is the last frame."""
 
     def captured_s(self, view: V, tick: int) -> float:
         """Return the gate's time at which the frame of a tick was captured."""
 
     @property
     def delay_s(self) -> float:
-        """Time from the capture of a frame to the moment when the command that answers it began to move the robot."""
+        """Delay from the capture of a frame to the motion by the command that answers it."""
 
     def detail(self) -> Detail:
-        """Tell how time passes, for the robot's status."""
+        """Return the pace's part of the robot's status."""
 
     def begin(self) -> None:
         """Begin, with frame 0 taken."""
 
     def poll(self, runner: Teller[V], run: Running[V]) -> Iterator[Message]:
-        """Let time pass."""
+        """Advance the time."""
 
     def end(self) -> None:
         """Leave the robot standing."""
 
 
-Paces = Mapping[
-    Mode, Callable[[], Pace[V]]
-]  # How time passes, by mode; each episode has a pace of its own.
+# Factories by mode; each episode has a pace of its own.
+Paces = Mapping[Mode, Callable[[], Pace[V]]]
 
 
 class RealTime(Generic[V]):
-    """The clock runs: a frame every ``frame_s``, while a loop drives; ``wake`` has somebody call ``poll`` soon.
+    """Real time: a frame every ``frame_s``, while a loop drives; ``wake`` requests a `poll`.
 
-    While the robot is ``deaf`` to stops or commands the loop lets it stand.
+    While the robot is ``deaf`` to stops or commands it stands.
     """
 
     def __init__(
@@ -134,7 +130,7 @@ class RealTime(Generic[V]):
 
     @property
     def delay_s(self) -> float:
-        """As the loop has measured it."""
+        """Delay measured by the loop."""
         return self.loop.delay_s
 
     def _note(self, applied: Applied) -> None:
@@ -146,11 +142,11 @@ class RealTime(Generic[V]):
         return self._clock()
 
     def captured_s(self, view: V, _tick: int) -> float:
-        """Return what the body says; one whose clock is ahead must not keep commands fresh for longer."""
+        """Return the body's capture time, at most now: a fast clock must not extend freshness."""
         return min(view.captured_s, self._clock())
 
     def detail(self) -> Detail:
-        """Tell how often a frame, or a step of the loop, came late."""
+        """Return the numbers of late frames and of late steps of the loop."""
         return {"late_frames": self.late, "late_steps": self.loop.late}
 
     def begin(self) -> None:
@@ -159,13 +155,14 @@ class RealTime(Generic[V]):
         self.loop.start()
 
     def poll(self, runner: Teller[V], run: Running[V]) -> Iterator[Message]:
-        """Tell what has changed, and take the next frame if it is due."""
+        """Report changes of motion, and take the next frame if it is due."""
         while self._changes:
             yield runner.tell(run, self._changes.popleft())
         now = self._clock()
         if now < self._due_s:
             return
-        # A frame that took longer than a tick to make puts off the next ones; the robot moves on meanwhile.
+        # A frame that takes longer than a tick postpones the following frames; the robot moves on
+        # meanwhile.
         self.late += now - self._due_s > self._frame_s
         self._due_s = max(self._due_s + self._frame_s, now)
         yield from runner.next_frame(run)

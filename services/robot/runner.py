@@ -1,4 +1,4 @@
-"""Episode after episode of one robot: requests, commands and readings of the clock in, messages out."""
+"""Runner of a robot's episodes: requests, commands and clock readings in, messages out."""
 
 import logging
 import math
@@ -36,12 +36,12 @@ from services.robot.pace import Pace, Paces, RealTime, Running
 from services.robot.task import Task
 from services.robot.wheels import WheelCheck
 
-#: Silence of whoever began an episode after which somebody else may begin one; four of their heartbeats.
+#: Silence of the client that began an episode, after which another client can begin one; four of its
+#: heartbeats.
 CLIENT_S: Final = 2.0
-READY_KEPT: Final = (
-    10  # Frames whose readiness is remembered; an older one's command is stale anyway.
-)
-# What is told of before the end is; that the goal is reached is told when it is first seen.
+# Number of frames whose readiness is stored; commands for older frames are stale.
+READY_KEPT: Final = 10
+# Events before the end; the goal has its own event when it is first reached.
 _ENDING_EVENTS: Final[dict[Outcome, EventName]] = {
     "collision": "collision", "timeout": "timed_out", "missed": "timed_out"
 }  # fmt: skip
@@ -50,10 +50,11 @@ V = TypeVar("V", bound=View)
 
 
 class EpisodeRunner(Generic[V]):
-    """Runs episodes of one robot, whose session distinguishes this process's episodes from an earlier one's.
+    """Runs the episodes of one robot.
 
-    ``offer``, ``hear``, ``pulse``, ``cancel`` and the gate's ``stop`` may be called on any thread; everything else on
-    one. ``paces`` are how time passes in other modes than real time.
+    ``session`` distinguishes this process's episodes from those of an earlier process. ``offer``,
+    ``hear``, ``pulse``, ``cancel`` and the gate's ``stop`` are thread-safe; the rest belongs to one
+    thread. ``paces`` are the modes besides real time.
     """
 
     def __init__(
@@ -69,18 +70,14 @@ class EpisodeRunner(Generic[V]):
     ) -> None:
         self.body = body
         self.gate = gate
-        self.wake: Callable[[], None] = lambda: (
-            None
-        )  # Called when ``poll`` has something to do; must return at once.
-        self.deaf: Callable[[], bool] = lambda: (
-            False
-        )  # Whether stops or commands might not reach the robot.
-        self.frame_s = TICK_S  # Time from frame to frame in real time, at least.
+        self.wake: Callable[[], None] = lambda: None  # Requests a ``poll``; must return at once.
+        # Whether stops or commands might not reach the robot.
+        self.deaf: Callable[[], bool] = lambda: False
+        self.frame_s = TICK_S  # Minimum time between two frames in real time.
         self.task = task
-        self.radio = False  # Whether who drives is reached by radio; see `services.robot.radio`.
-        self.jpeg_quality: int | None = (
-            None  # Of pictures that leave the robot; None: as the camera gives them.
-        )
+        self.radio = False  # Whether the driver is reached by radio; see `services.robot.radio`.
+        # JPEG quality of published images; None: as the camera provides them.
+        self.jpeg_quality: int | None = None
         self._robot = robot
         self.session = session
         self._paces: dict[Mode, Callable[[], Pace[V]]] = {
@@ -92,35 +89,39 @@ class EpisodeRunner(Generic[V]):
         self._clocks = clocks
         self._cancelling = Cancelling()
         self._count = 0
-        self.running: Running[V] | None = None  # The running episode, if any.
+        self.running: Running[V] | None = None
 
-    # -- what is asked for ----------------------------------------------------------------------------------------
+    # -- requests ----------------------------------------------------------------------------------
 
     def arm(self, request: ArmRequest) -> None:
-        """Release a latched stop. Raises ServiceError where they may not, or for another stop."""
+        """Release a latched stop; ServiceError if denied, or for another stop."""
         self._unless(self.gate.arm(request.stop, request.session))
 
     def resume(self, request: ResumeRequest) -> None:
-        """Let the driver go on after a person has taken over. Raises ServiceError where they may not."""
-        # Between two episodes there is nothing to have missed, and a person who has just come has heard of neither.
+        """Let the driver continue after a person took over; ServiceError if denied."""
+        # Between two episodes a person cannot have missed a frame, and a new person has received
+        # none.
         episode = None if self.running is None else request.episode
         self._unless(self.gate.resume(episode, request.tick, request.session))
 
     def check_reset(self, request: ResetRequest) -> None:
-        """Refuse a beginning that may not be.
+        """Refuse an episode that must not begin.
 
-        Raises ServiceError, with the reason, while a stop is latched, a person has taken over, somebody else's episode
-        runs, an operator has taken over or would drive in place of who asks, or the robot does not know the mode.
+        Raises
+        ------
+        ServiceError
+            While a stop is latched, a person has taken over, another client's episode runs, or an
+            operator denies it; or if the mode is unsupported.
         """
         if request.mode not in self._paces:
-            raise ServiceError(f"{self.body.name} cannot wait for commands; ask for real time")
+            raise ServiceError(f"{self.body.name}: unsupported mode {request.mode}; use realtime")
         if self.gate.emergency_stop:
             cause = {
                 "not_armed": "the robot is not armed; arm it",
                 "emergency_stop": "an emergency stop is latched; release it",
                 "operator_lost": "the operator was lost; arm the robot",
-                "wheels": "the odometry contradicts the commands; look at the wheels, then arm the robot",
-                "fault": "the robot's body has failed; look at it, then arm it",
+                "wheels": "the odometry contradicts the commands; inspect the wheels, then arm the robot",
+                "fault": "the robot's body has failed; inspect it, then arm it",
             }[self.gate.stop_cause or "not_armed"]
             raise ServiceError(f"{cause}, from the console's page or smal teleop (n)")
         if self.gate.taken_over or request.driver == "teleop":
@@ -137,17 +138,17 @@ class EpisodeRunner(Generic[V]):
             and self._clocks.monotonic_s() - run.client_s <= CLIENT_S
         ):
             raise ServiceError(
-                f"episode {run.id} is another client's; take over from its driver, or end that client"
+                f"episode {run.id} belongs to another client; take over from its driver, or end it"
             )
 
     def reset(self, request: ResetRequest) -> tuple[ResetReply, list[Message]]:
-        """End the running episode and begin the next one, or raise ServiceError; return answer and what to publish."""
+        """End the running episode and begin the next; return the reply and the messages to publish."""
         self.check_reset(request)
         messages = self.end()
         pace = self._paces[request.mode]()
         self._count += 1
         name = f"{request.name or f'{request.purpose}-{request.seed}'}-{self.session}-{self._count}"
-        # From here on nothing that was said before counts.
+        # Commands from before this line expire.
         self.gate.begin(name, request.driver)
         try:
             with self._cancelling.beginning(request.session):
@@ -156,7 +157,7 @@ class EpisodeRunner(Generic[V]):
             raise ServiceError(
                 f"{error}; the robot is in {self.body.name}, without an episode"
             ) from None
-        # In another world it may be another robot.
+        # Another world can have another robot.
         check_stopping(self.body)
         self.gate.guard = guard_of(self.body)
         self.gate.kinematics = self.body.kinematics
@@ -171,7 +172,7 @@ class EpisodeRunner(Generic[V]):
             messages.extend(self._frame(run))
             pace.begin()
         except Exception:
-            self.running = None  # who asked is told that there is none
+            self.running = None  # The caller receives the error instead of an episode.
             raise
         reply = ResetReply(
             episode=name,
@@ -186,11 +187,11 @@ class EpisodeRunner(Generic[V]):
         return reply, messages
 
     def cancel(self, request: CancelRequest) -> None:
-        """End the beginning of an episode, on any thread; ServiceError where none begins, or they may not."""
+        """Cancel an episode that is beginning; thread-safe, ServiceError if idle or denied."""
         self._cancelling.cancel(request.session, self.gate.operator)
 
     def end_by(self, request: EndRequest) -> list[Message]:
-        """End the running episode when asked; ServiceError where it is another, or they may not."""
+        """End the running episode on request; ServiceError for another episode, or if denied."""
         run = self.running
         if run is None or run.id != request.episode:
             raise ServiceError(f"episode {request.episode} is not running")
@@ -201,7 +202,7 @@ class EpisodeRunner(Generic[V]):
         return self.end(ended._replace(box=request.box if request.found else None))
 
     def end(self, ended: Ended | None = None) -> list[Message]:
-        """End the running episode; without anybody's word, if that is not given."""
+        """End the running episode, by default without a report."""
         run = self.running
         if run is None:
             return []
@@ -209,10 +210,10 @@ class EpisodeRunner(Generic[V]):
         run.pace.end()
         return [self._event(run, "ended", ended or run.episode.end())]
 
-    # -- what happens ---------------------------------------------------------------------------------------------
+    # -- events ------------------------------------------------------------------------------------
 
     def offer(self, command: Command) -> None:
-        """Take a command to the gate."""
+        """Offer a command to the gate."""
         run = self.running
         if run is not None and command.episode == run.id:
             run.window.answered(command.tick)
@@ -226,7 +227,7 @@ class EpisodeRunner(Generic[V]):
             run.latency_s[command.source] = self._clocks.monotonic_s() - ready_s
 
     def hear(self, beat: Heartbeat) -> None:
-        """Take a sign of life."""
+        """Take a heartbeat."""
         now = self._clocks.monotonic_s()
         run = self.running
         if beat.answers is not None:
@@ -240,8 +241,8 @@ class EpisodeRunner(Generic[V]):
             run.client_s = now if beat.present else -math.inf
 
     def pulse(self) -> Pulse:
-        """Return the next sign of life of the robot."""
-        # While a world opens, nothing else looks whether the operator is still there.
+        """Return the robot's next pulse."""
+        # While a world opens, this is the only check of the operator's presence.
         self.gate.watch(self._clocks.monotonic_s())
         run = self.running
         nowhere = Message(robot=self._robot, episode=NO_EPISODE, tick=0, stamp_ns=0)
@@ -254,14 +255,14 @@ class EpisodeRunner(Generic[V]):
         )
 
     def poll(self) -> Iterator[Message]:
-        """Let time pass: frames are taken when they are due, and what moves the robot is told."""
+        """Advance the time: take due frames and report changes of motion."""
         self.gate.watch(self._clocks.monotonic_s())
         if self.running is None:
             return
         try:
             yield from self.running.pace.poll(self, self.running)
         except Exception:
-            # Half a frame cannot be answered, nor half a step made up for: nobody would ever go on.
+            # An interrupted frame cannot be answered or repeated, so the episode cannot continue.
             yield from self.end(Ended("aborted"))
             raise
 
@@ -278,7 +279,7 @@ class EpisodeRunner(Generic[V]):
         yield from self.end(Ended(outcome, "task" if outcome == "found" else None))
 
     def _guard_looks(self, view: V, captured_s: float) -> None:
-        """Have the guard look at a view, if the odometry can be believed."""
+        """Pass a view to the guard if the odometry is consistent."""
         followed = view.odometry is not None and self._follows(view.odometry, captured_s)
         if view.odometry is not None and followed and self.gate.guard is not None:
             self.gate.guard.look(view.depth, view.odometry[:3], captured_s)
@@ -316,7 +317,7 @@ class EpisodeRunner(Generic[V]):
             yield self._event(run, "victim_found")
 
     def _follows(self, odometry: OdometryReading, captured_s: float) -> bool:
-        """Return whether the odometry follows what the wheels were told; if it does not, stop the robot."""
+        """Return whether the odometry follows the commands; otherwise stop the robot."""
         wheels = self.gate.wheels
         contradiction = None if wheels is None else wheels.read(odometry[:3], captured_s)
         if contradiction is not None:
@@ -325,7 +326,7 @@ class EpisodeRunner(Generic[V]):
         return contradiction is None
 
     def _pictures(self, view: V, header: Message) -> Iterator[Message]:
-        """Make what the driver needs to answer a frame; last comes the colour image, for which the driver waits."""
+        """Yield the messages that the driver answers; the colour image comes last."""
         for message in view.more(header):
             yield (
                 radio.coarse(message) if self.radio and isinstance(message, DepthImage) else message
@@ -339,7 +340,7 @@ class EpisodeRunner(Generic[V]):
         yield CompressedImage.after(header, width=width, height=height, data=jpeg)
 
     def tell(self, run: Running[V], applied: Applied) -> CommandApplied:
-        """Make the record of what moves the robot; remembers it, to say so again only when it changes."""
+        """Return the record of the robot's motion, and store it to report only changes."""
         run.applied = applied
         sequence = run.said
         run.said = run.said + 1
@@ -360,7 +361,7 @@ class EpisodeRunner(Generic[V]):
         )
 
     def header(self, run: Running[V]) -> Message:
-        """Return what every message of the last frame begins with."""
+        """Return the common header of the last frame's messages."""
         return Message(robot=self._robot, episode=run.id, tick=run.tick, stamp_ns=run.stamp_ns)
 
     def _event(self, run: Running[V], name: EventName, ended: Ended | None = None) -> EpisodeEvent:

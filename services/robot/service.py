@@ -36,62 +36,68 @@ from services.robot.pace import Paces
 from services.robot.runner import EpisodeRunner
 from services.robot.task import OperatorsTask, Task
 
-ROBOT: Final = "robot"  # Name on the bus, whatever body it has.
-PEEK_COLUMNS: Final = (
-    640  # Of what is seen between episodes: so small that a reply takes it, whatever camera it is.
-)
-ANSWER_S: Final = 1.0  # How long another robot of this id may take to say so.
+# Name on the bus, for any body.
+ROBOT: Final = "robot"
+# Maximum width of the image between episodes, so that it fits into a reply.
+PEEK_COLUMNS: Final = 640
+ANSWER_S: Final = 1.0  # Timeout for the answer of another robot with this id.
+# Lanes that are needed to move the robot and to stop it.
 MOVING: Final[tuple[Lane, ...]] = (
     "urgent",
     "stop",
-)  # Lanes without which nobody can move the robot, or stop it.
+)
 V = TypeVar("V", bound=View)
 
 
 class RobotSettings(ServiceSettings):
-    """Who has to be there for the robot to move, and what its link to who drives it is like."""
+    """Operator presence and link settings."""
 
     attended: bool = True
-    """Whether it moves only while an operator is there, at smal teleop or another console that sends heartbeats. Where
-    one is there they are missed in any case: without their heartbeat the robot stands."""
+    """Whether the robot moves only while an operator is present, at smal teleop or another console
+    that sends heartbeats. If an operator is present, the robot stops without their heartbeat in
+    any case.
+    """
     frames_hz: Annotated[float, Field(ge=1, le=10)] = 10.0
-    """Camera frames a second in real time, at most; fewer for a machine that is too small for its robots. A depth
-    camera is too old to drive by below 4."""
+    """Maximum camera frames a second in real time; lower it for a small machine. Below 4, depth
+    images are too old to drive.
+    """
     radio: bool = False
-    """Whether who drives is at the other end of Wi-Fi: a command may be 0.5 s old, pictures are sent as JPEG of quality
-    30, and no more than three are under way that are not answered."""
+    """Whether the driver is connected by Wi-Fi: commands are valid for 0.5 s, images are JPEG of
+    quality 30, and at most three images are unanswered.
+    """
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
-    """Quality at which pictures are sent; as the camera gives them, or what is said of radio, if not given."""
+    """JPEG quality of published images; by default that of the camera, or of radio mode."""
 
 
 def check_alone(settings: ServiceSettings, instead: str = "give this one another id") -> None:
-    """Refuse to be a second robot of one id, with a ServiceError that says what its user can do instead."""
+    """Raise ServiceError if another robot has this id; ``instead`` is the advice to the user."""
     with closing(settings.open_bus(ROBOT)) as bus, suppress(RpcError):
         other = bus.call(ROBOT, "status", Nothing(), Status, ANSWER_S)
         raise ServiceError(
-            f"robot {settings.robot} is there already (process {other.pid}); {instead}"
+            f"robot {settings.robot} already exists (process {other.pid}); {instead}"
         )
 
 
 class RobotService:
-    """Wires an ``EpisodeRunner`` to a node.
+    """Connects an ``EpisodeRunner`` to a node.
 
-    Commands, signs of life and what cancels are judged on the bus's own thread: nothing that waits or renders goes
-    before them, and no queue can lose an emergency stop. Pulses are sent on a thread of their own: an operator is
-    missed for their silence, and not for that of a robot which opens a world or takes long for a picture. Everything
-    else happens on the node's thread, which renders as well.
+    Commands, heartbeats and cancellations run on the bus's own thread: no rendering delays them,
+    and no queue can lose an emergency stop. Pulses have a separate thread, so that an operator
+    keeps answering while the robot opens a world or renders. The rest runs on the node's thread,
+    which also renders.
     """
 
     def __init__(self, runner: EpisodeRunner[V], node: Node) -> None:
         self._runner = runner
         self._node = node
         self._timed: tuple[str, int | None] | None = None
-        self.left = False  # Whether another robot of this id is there, to which it is left.
+        self.left = False  # Whether this process gives way to another robot with this id.
         runner.wake = node.soon(self.poll)
         node.bus.echo_every(PULSE_S)
         runner.deaf = lambda: node.bus.echo_age_s(*MOVING) > ECHO_S
         for source, topic in COMMANDS.items():
-            # Whoever may send a stop may send nonsense in its place; a flood of that must not keep the stop away.
+            # A sender of stops can also send invalid ones; even a flood of those must stop the
+            # robot.
             node.at_once(
                 topic, self.take, self.stop if source == "emergency_stop" else lambda: None
             )
@@ -108,14 +114,15 @@ class RobotService:
         node.detail = self.detail
 
     def take(self, command: Command) -> None:
-        """Offer a command to the gate; what comes of it is told by the next poll."""
+        """Offer a command to the gate; the next poll reports its effect."""
         self._runner.offer(command)
         self._runner.wake()
 
     def meet(self, pulse: Pulse) -> None:
-        """Leave the robot to another process of its id, where both have been started in the same instant.
+        """Give way to another process with the same id, if both started in the same instant.
 
-        A robot that is armed stays; of two that stand for a stop, as every one does that was just started, one leaves.
+        An armed robot stays. Of two robots with a latched stop, as all have at their start, one
+        leaves.
         """
         mine = self._runner.session
         stands = self._runner.gate.emergency_stop
@@ -124,52 +131,52 @@ class RobotService:
             self._node.stop()
 
     def stop(self) -> None:
-        """Stop for an emergency that was not put into the form of a command."""
+        """Stop for an emergency stop that is not a valid command."""
         self._runner.gate.stop()
         self._runner.wake()
 
     def poll(self) -> None:
-        """Let time pass."""
+        """Advance the time."""
         self._publish(self._runner.poll())
 
     def arm(self, request: ArmRequest) -> None:
         """Release a latched stop."""
         cause = self._runner.gate.stop_cause
         self._runner.arm(request)
-        self._node.log.info("armed (it stood for: %s)", cause)
+        self._node.log.info("armed (stop cause: %s)", cause)
 
     def reset(self, request: ResetRequest) -> ResetReply:
         """Begin an episode."""
         self._runner.check_reset(request)
-        # Whatever becomes of the next one, the running episode ends here.
+        # The running episode ends even if the next one fails to begin.
         self._publish(self._runner.end())
         reply, messages = self._runner.reset(request)
         self._publish(messages)
         return reply
 
     def cancel(self, request: CancelRequest) -> None:
-        """Begin no episode after all; on the bus's own thread, since the node's is busy with its beginning."""
+        """Cancel an episode that is beginning; on the bus's thread, since the node's is busy."""
         self._runner.cancel(request)
-        self._node.log.info("the episode that is being begun is cancelled")
+        self._node.log.info("the beginning of the episode is cancelled")
 
     def end(self, request: EndRequest) -> None:
         """End the running episode."""
         self._publish(self._runner.end_by(request))
 
     def look(self, _: Nothing) -> LookReply:
-        """Show what the camera sees before an episode."""
+        """Return the camera image between two episodes."""
         jpeg = None if self._runner.running else self._runner.body.peek()
         if jpeg is not None and (jpeg_size(jpeg) or (0, 0))[0] > PEEK_COLUMNS:
             jpeg = encode_jpeg(shrunk(decode_jpeg(jpeg), PEEK_COLUMNS))
         return LookReply(picture=jpeg)
 
     def resume(self, request: ResumeRequest) -> None:
-        """Let the driver go on, from whom a person has taken over."""
+        """Return control to the driver after a person took over."""
         self._runner.resume(request)
-        self._node.log.info("episode %s: the driver goes on", request.episode)
+        self._node.log.info("episode %s: the driver continues", request.episode)
 
     def detail(self) -> Detail:
-        """Tell the running episode and how the actuator fares."""
+        """Return the running episode and the state of the actuator."""
         running = self._runner.running
         gate = self._runner.gate
         moves = self._runner.body.kinematics
@@ -189,7 +196,7 @@ class RobotService:
         if running is not None:
             detail |= running.pace.detail()
         detail |= self._runner.body.detail()
-        # This runs on a thread of the bus: list() takes the counts at one moment.
+        # This runs on a thread of the bus: list() copies the counts atomically.
         detail |= {f"refused {reason}": count for reason, count in list(gate.refused.items())}
         return detail
 
@@ -212,7 +219,7 @@ class RobotService:
             yield message
 
     def _time(self, applied: CommandApplied) -> None:
-        """Count how long a command took, once: what is applied is said again with every frame."""
+        """Record the latency of a command once, since each frame repeats the report."""
         answered = (applied.episode, applied.answered_tick)
         if applied.source is None or applied.latency_ns is None or answered == self._timed:
             return
@@ -227,10 +234,23 @@ def serve_robot(
     *,
     clocks: Clocks = CLOCKS,
 ) -> None:
-    """Drive a body until stopped; the task says that the goal is reached.
+    """Drive a body until stopped.
 
-    When no other robot of this id is there, ``open_body`` makes the body, and how time passes for it in other modes
-    than real time. Raises ServiceError where another process is this robot, or the body cannot stand in time.
+    Parameters
+    ----------
+    settings
+        Settings of the robot.
+    open_body
+        Creates the body and its paces besides real time; called when no other robot has this id.
+    task
+        Judge of the goal.
+    clocks
+        Clocks of the robot.
+
+    Raises
+    ------
+    ServiceError
+        If another process is this robot, or the body cannot stop in time.
     """
     check_alone(settings)
     with Node(ROBOT, settings) as node:
@@ -242,7 +262,7 @@ def serve_robot(
             task,
             CommandGate(radio.AGE_S if settings.radio else MAX_AGE_S, attended=settings.attended),
             settings.robot,
-            # Episode ids stay unique when the robot is started again, whatever the wall clock says.
+            # Keeps episode ids unique after a restart, whatever the wall clock.
             secrets.token_hex(6),
             paces=paces,
             clocks=clocks,

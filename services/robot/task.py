@@ -1,4 +1,4 @@
-"""Who says that a goal is reached: the robot's task, where there is one; else only the operator can."""
+"""Judges of a reached goal: the robot's task, or otherwise the operator."""
 
 from typing import Protocol, TypeVar
 
@@ -8,28 +8,28 @@ V_contra = TypeVar("V_contra", bound=View, contravariant=True)
 
 
 class Task(Protocol[V_contra]):
-    """What the robot is there for."""
+    """Task of the robot."""
 
     def reached(self, view: V_contra, goal: str) -> bool:
         """Return whether a frame shows that a goal is reached."""
 
     def gone(self, view: V_contra, goal: str) -> bool | None:
-        """Return whether a goal is nowhere; None where nobody knows."""
+        """Return whether a goal is absent; None if unknown."""
 
     def told(self, view: V_contra, goal: str) -> None:
-        """Take from the operator that a frame shows a goal."""
+        """Store the operator's confirmation that a frame shows a goal."""
 
 
 class OperatorsTask:
-    """The goal is where the operator says that it is."""
+    """Task whose goal only the operator can confirm."""
 
     def reached(self, view: View, goal: str) -> bool:
-        """Return False: nothing in a frame tells."""
+        """Return False: frames are not evaluated."""
         return False
 
     def gone(self, view: View, goal: str) -> bool | None:
-        """Return None: nothing in a frame tells."""
+        """Return None: frames are not evaluated."""
         return None
 
     def told(self, view: View, goal: str) -> None:
-        """Do nothing: what the operator says next counts again."""
+        """Ignore the confirmation."""

@@ -1,1 +1,1 @@
-"""A body for the robot: a real ROS 2 base, reached over Zenoh without ROS on this machine."""
+"""Body of a real ROS 2 base, connected over Zenoh without ROS on this machine."""

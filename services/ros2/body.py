@@ -1,4 +1,4 @@
-"""A ROS 2 base as a body: velocities out, frames in. Knows nothing of Zenoh."""
+"""A ROS 2 base as a body: velocities out, frames in. Independent of Zenoh."""
 
 import logging
 import math
@@ -20,27 +20,27 @@ from services.ros2.senses import Frame, Senses, picture
 from services.ros2.wheels import Wheels, reading
 from smal.camera import Camera
 
-#: Readings of the inertial unit that lie nearer together are the same one; its messages have microseconds.
+#: Readings of the inertial unit closer than this are the same; its messages have microseconds.
 _SAME_S: Final = 2e-6
 _log = logging.getLogger("ros2")
 
 
 class Link(Protocol):
-    """The way to the base."""
+    """Connection to the base."""
 
     def send(self, ahead_m_s: float, turn_rad_s: float, robot_s: float | None) -> None:
-        """Send a velocity; return at once. The robot's time is that of its stamp, if it is known."""
+        """Send a velocity and return at once; the robot's time is its stamp, if known."""
 
     def lacks(self) -> str | None:
-        """Say what is missing for the base to take velocities; None where nothing is."""
+        """Return what the base lacks to accept velocities, or None."""
 
     def detail(self) -> Detail:
-        """Tell how the link is."""
+        """Return the link's part of the status."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ros2View:
-    """One moment of a ROS 2 base, as `services.robot.body.View` asks for it."""
+    """Readings of a ROS 2 base as `services.robot.body.View`."""
 
     jpeg: bytes
     captured_s: float
@@ -50,16 +50,16 @@ class Ros2View:
     depth = None
 
     def more(self, _header: Message, _made: Collection[str] = ()) -> Iterator[Message]:
-        """Make nothing more: it has no other sensors that we know."""
+        """Yield nothing: the base has no other known sensors."""
         yield from ()
 
 
 class Ros2Body:
-    """A real base, as `services.robot.body.Body` asks for it.
+    """A real base as `services.robot.body.Body`.
 
-    It is moved while the camera and all that must be heard (wheels, scanner, bumpers) are heard. Where something
-    forbids to go on, the movement fails: the robot then stands until a person has looked at it and armed it again.
-    Velocities go over the ``link``.
+    It moves while the camera and all required inputs (odometry, scanner, bumpers) are received. If
+    a sensor forbids a movement, the movement fails: the robot then stands until a person has
+    inspected it and armed it again. Velocities travel over the ``link``.
     """
 
     def __init__(
@@ -83,21 +83,22 @@ class Ros2Body:
         self._lacked = False
         self._asked = STANDING
 
-    mount = None  # Its scanner and bumpers forbid movements, see `drive`.
+    # Its scanner and bumpers forbid movements, see `drive`.
+    mount = None
 
     @property
     def camera(self) -> Camera | None:
-        """As the camera has told it."""
+        """Camera model, as published by the camera."""
         return self._senses.camera
 
     def drive(self, velocity: Velocity) -> Velocity:
-        """Go on with a velocity; stand while a required input is silent. ServiceError if the velocity is forbidden."""
+        """Drive at a velocity; stand while a required input is silent, ServiceError if forbidden."""
         for atom in velocity.keys:
             why = self._senses.forbids(atom)
             if why is not None:
                 self.stand()
                 raise ServiceError(
-                    f"{self.name} must not go {atom}: {why}; it stands until it is armed again"
+                    f"{self.name} must not move {atom}: {why}; it stands until it is armed"
                 )
         self._asked = velocity
         if self._lacks() is not None:
@@ -110,7 +111,7 @@ class Ros2Body:
         return velocity
 
     def stand(self) -> None:
-        """Stop, and stay."""
+        """Stop until the next `drive`."""
         self._asked = STANDING
         self._send(0.0, 0.0)
 
@@ -124,31 +125,29 @@ class Ros2Body:
         return self._link.lacks() or self._senses.silent(*self._asked.keys)
 
     def begin(self, request: ResetRequest) -> Beginning:
-        """Be ready where it stands; ServiceError where it does not hear what it needs, or cannot do what is asked."""
+        """Prepare an episode; ServiceError if inputs are silent or the request is unsupported."""
         if request.kidnap_tick is not None:
-            raise ServiceError(
-                f"{self.name} is real: it cannot be carried away at a frame; carry it by hand"
-            )
+            raise ServiceError(f"{self.name} is real: kidnap_tick is unsupported; carry it by hand")
         if request.obstacles or request.people or request.blocked:
-            raise ServiceError(f"{self.name} is real: put what stands in its way there by hand")
-        if request.world is not None or request.variation is not None:
             raise ServiceError(
-                f"{self.name} is real: no world and no variation can be chosen for it"
+                f"{self.name} is real: obstacles are unsupported; place them by hand"
             )
+        if request.world is not None or request.variation is not None:
+            raise ServiceError(f"{self.name} is real: world and variation are unsupported")
         fit = "dialect, domain, namespace, distribution and the topics' names (ros2 topic list)"
         hint = f"does {self._config.router} reach it, and do {fit} fit?"
         frame = self._senses.frame
         if frame is None:
-            raise ServiceError(f"{self.name}: no picture has come from {self._camera}; {hint}")
+            raise ServiceError(f"{self.name}: no image received from {self._camera}; {hint}")
         age_s = self._clock() - frame.captured_s
         if age_s > MAX_AGE_S:
             raise ServiceError(
-                f"{self.name}: the last picture of {self._camera} is {age_s:.1f} s old"
+                f"{self.name}: the last image of {self._camera} is {age_s:.1f} s old"
             )
         lacks = self._lacks()
         if lacks is not None:
-            said = lacks if lacks == self._senses.learning() else f"{lacks}; {hint}"
-            raise ServiceError(f"{self.name}: {said}")
+            reason = lacks if lacks == self._senses.learning() else f"{lacks}; {hint}"
+            raise ServiceError(f"{self.name}: {reason}")
         self._begun_s = self._felt_s = self._clock()
         self._senses.touched = False
         self._senses.imu_since_last()
@@ -157,13 +156,13 @@ class Ros2Body:
         return Beginning()
 
     def look(self, tick: int) -> Ros2View:
-        """Return the newest frame and what belongs to it; none is new while somebody who must be heard is silent."""
+        """Return the newest frame and its readings; without a required input no frame is new."""
         del tick
         lacks = self._lacks()
         if lacks is not None and not self._lacked:
             _log.warning("%s stands: %s", self.name, lacks)
         elif lacks is None and self._lacked:
-            _log.info("%s: what it needs is heard again", self.name)
+            _log.info("%s: required topics are back", self.name)
         self._lacked = lacks is not None
         self._take_newest()
         assert self._frame is not None  # noqa: S101 - begin has seen one, and _take_newest would have raised
@@ -174,7 +173,7 @@ class Ros2Body:
         return Ros2View(self._jpeg, captured_s, self._senses.touched, odometry, self._imu())
 
     def peek(self) -> bytes | None:
-        """Return the newest picture, as JPEG; None where the camera is silent."""
+        """Return the newest image, as JPEG; None while the camera is silent."""
         frame = self._senses.frame
         with suppress(MessageError):
             return (
@@ -200,9 +199,9 @@ class Ros2Body:
         now = self._senses.wheels_at(at_s)
         if now is None or self._since is None or self._last is None:
             return None
-        told = reading(now, self._since, self._last)
+        odometry = reading(now, self._since, self._last)
         self._last = now
-        return told
+        return odometry
 
     def _imu(self) -> tuple[ImuReading, ...] | None:
         if self._config.imu is None:
@@ -215,7 +214,7 @@ class Ros2Body:
         return tuple(new)
 
     def detail(self) -> Detail:
-        """Tell how the base is heard, and how its clock stands: ahead of what `date` would show on this machine."""
+        """Return the state of the inputs, and the robot's clock relative to this machine's `date`."""
         clock = self._senses.camera_clock
         frame = self._senses.frame
         now = self._clock()

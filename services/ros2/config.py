@@ -1,4 +1,4 @@
-"""What a robot is told of its base: topics, types, speeds. A file, which may begin with one of the presets."""
+"""Configuration of a base: topics, types and speeds, from a file that can extend a preset."""
 
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
@@ -18,10 +18,10 @@ from services.ros2.messages import Distribution
 from services.ros2.wire import DialectName, qualified
 
 PRESETS: Final = Path(__file__).parent / "presets"
-_LARGEST: Final = 65536  # A configuration is a page of text.
+_LARGEST: Final = 65536  # Maximum size; a configuration is a page of text.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Seconds = Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)]
-#: Without a message for so long the robot is not moved.
+#: Silence after which the robot is not moved.
 Silence = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)]
 Angle = Annotated[float, Field(gt=0, lt=3.15)]
 #: A name; relative to the namespace unless it begins with a slash.
@@ -33,50 +33,53 @@ class _Part(BaseModel):
 
 
 class CameraTopics(_Part):
-    """Where pictures come from: JPEG, or pixels (rgb8, bgr8, mono8, yuv422); and where the calibration does."""
+    """Topics of the images, as JPEG or pixels (rgb8, bgr8, mono8, yuv422), and of the calibration."""
 
     topic: Topic
     type: Literal["sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"] = (
         messages.COMPRESSED_IMAGE
     )
     info: Topic | None = None
-    latency_s: Seconds = 0.0  # From the light on the sensor to the stamp of a picture.
+    latency_s: Seconds = 0.0  # From the exposure to the stamp of an image.
 
 
 class Input(_Part):
-    """A topic that is listened to."""
+    """A subscribed topic."""
 
     topic: Topic
     silence_s: Silence = 0.25
 
 
 class ScanTopic(Input):
-    """A laser scanner, or whatever tells distances as one; scanners turn 5 to 10 times a second."""
+    """A laser scanner, or a similar source of distances; scanners turn 5 to 10 times a second."""
 
     silence_s: Silence = 0.5
-    stop_m: Positive  # Nearer than this, from the scanner, nothing may be where the robot goes.
-    #: Where ahead is in the scanner's own angles, counter-clockwise; and how far to both sides of the way is looked.
+    stop_m: Positive  # Distance from the scanner within which an obstacle forbids the movement.
+    #: Direction ahead in the scanner's own angles, counter-clockwise; and the checked angle to both
+    #: sides of the way.
     ahead_rad: Annotated[float, Field(gt=-3.15, lt=3.15)] = 0.0
     half_angle_rad: Angle = 0.6
-    blind_m: Seconds = 0.0  # Nearer than this are parts of the robot.
-    #: The widest angle of a way of which the scanner may say nothing; at 0.3 m a table's leg, 6 cm, is as wide.
+    blind_m: Seconds = 0.0  # Distance within which readings are parts of the robot.
+    #: Maximum angle of a way without readings; at 0.3 m a table's leg of 6 cm has this width.
     gap_rad: Angle = 0.2
-    #: Whether a range of 0 says that nothing is within reach; a scanner that is covered or broken says the same.
+    #: Whether a range of 0 means out of reach; covered or broken scanners report the same.
     zero_is_free: bool = False
-    #: Whether the way back must be seen to be free as well; false for a scanner that only looks ahead.
+    #: Whether the way back must be known to be free as well; false for a scanner that only looks
+    #: ahead.
     behind: bool = True
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         if self.blind_m >= self.stop_m:
             raise ValueError(
-                f"scan: nothing would stop it, as blind_m is {self.blind_m:g} m and stop_m {self.stop_m:g} m"
+                f"scan: blind_m ({self.blind_m:g} m) must be less than stop_m ({self.stop_m:g} m), "
+                "or no obstacle stops the robot"
             )
         return self
 
 
 class StopTopic(_Part):
-    """A topic that says when the robot must not go on: a bumper, a cliff, a button; of a Bool, True means that."""
+    """A topic that forbids movement: a bumper, a cliff sensor, or a button (a Bool of True)."""
 
     topic: Topic
     type: Literal[
@@ -84,25 +87,25 @@ class StopTopic(_Part):
         "turtlebot3_msgs/msg/SensorState",
         "std_msgs/msg/Bool",
     ]
-    #: None for one that speaks only of changes: it must have spoken once since its publisher, and we, were there.
+    #: None for a topic that publishes only changes: one message is required since its publisher and
+    #: this process started.
     silence_s: Silence | None = 0.5
 
 
 class VelocityTopic(_Part):
-    """How the base is told to move; auto is what it says that it subscribes to."""
+    """Topic of the base's velocity; auto selects the type that it subscribes to."""
 
     topic: Topic = "cmd_vel"
     type: Literal[
         "auto", "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped",
         "ackermann_msgs/msg/AckermannDrive", "ackermann_msgs/msg/AckermannDriveStamped",
     ] = "auto"  # fmt: skip
-    wheelbase_m: Annotated[float | None, Field(gt=0, le=10)] = (
-        None  # From axle to axle, of what takes AckermannDrive.
-    )
+    # From axle to axle, for AckermannDrive.
+    wheelbase_m: Annotated[float | None, Field(gt=0, le=10)] = None
 
 
 class Ros2Config(_Part):
-    """A base with a camera; services/ros2/README.md says what each setting is."""
+    """A base with a camera; for the settings see services/ros2/README.md."""
 
     preset: str | None = None
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
@@ -113,11 +116,11 @@ class Ros2Config(_Part):
     namespace: Annotated[str, Field(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)*$")] = ""
     speed_m_s: Positive
     turn_rate_rad_s: Positive
-    radius_m: Annotated[float, Field(ge=0, le=100)] = (
-        0.0  # Least radius of its way, of a car; 0: it turns on the spot.
-    )
-    braking_s: Seconds  # From that speed to standing.
-    #: Without a command for so long the base stands by itself; a base that has no watchdog must not be driven.
+    # Minimum turning radius of a car; 0 if it turns on the spot.
+    radius_m: Annotated[float, Field(ge=0, le=100)] = 0.0
+    braking_s: Seconds  # From nominal speed to standstill.
+    #: Time without a command after which the base stops by itself; a base without a watchdog must
+    #: not be driven.
     watchdog_s: Positive
     velocity: VelocityTopic = VelocityTopic()
     camera: CameraTopics
@@ -132,13 +135,13 @@ class Ros2Config(_Part):
             host_and_port(self.router)
         except BusError as error:
             raise ValueError(str(error)) from None
-        told = self.velocity.type
+        velocity_type = self.velocity.type
         car = self.velocity.wheelbase_m is not None
-        if told != "auto" and ("Ackermann" in told) != car:
-            raise ValueError("velocity: wheelbase_m belongs to an AckermannDrive, which needs it")
+        if velocity_type != "auto" and ("Ackermann" in velocity_type) != car:
+            raise ValueError("velocity: wheelbase_m is required for AckermannDrive, and only there")
         if car and self.radius_m == 0.0:
             raise ValueError(
-                "radius_m: what takes AckermannDrive has a least radius of its way; say it"
+                "radius_m: required for AckermannDrive (minimum turning radius, metres)"
             )
         return self
 
@@ -153,24 +156,24 @@ def known_presets() -> list[str]:
 
 
 def read_config(path: Path) -> Ros2Config:
-    """Read a configuration; with `preset: NAME` it says only what differs from that. UsageError where it is wrong."""
+    """Read a configuration, merged into its `preset` if given; UsageError if it is invalid."""
     own = _read(path)
     preset = own.get("preset")
     if preset is not None:
         if preset not in known_presets():
-            raise UsageError(f"{path}: preset: known are {', '.join(known_presets())}")
+            raise UsageError(f"{path}: preset not found; available: {', '.join(known_presets())}")
         own = _merged(_read(PRESETS / f"{preset}.yaml"), own)
-    # YAML has lists, and a tuple is what does not change.
+    # YAML has lists, while the frozen model has tuples.
     if isinstance(own.get("stops"), list):
         own["stops"] = tuple(own["stops"])
     try:
         config = Ros2Config.model_validate(own)
-        # Here, and not only where it drives: then nothing is started for a base that must not be driven.
+        # Checked here as well, so that no process starts for a base that must not be driven.
         check_stopping(config)
     except ValidationError as error:
         raise UsageError(f"{path}: {_explained(error)}") from None
     except ServiceError as error:
-        raise UsageError(f"{path}: {error}; services/ros2/README.md says what helps") from None
+        raise UsageError(f"{path}: {error}; for help see services/ros2/README.md") from None
     return config
 
 
@@ -179,14 +182,12 @@ def _explained(error: ValidationError) -> str:
     missing = [".".join(map(str, one["loc"])) for one in errors if one["type"] == "missing"]
     if "watchdog_s" in missing:
         return (
-            "watchdog_s: say after how many seconds without a command the base stands by itself; one that does not "
-            "must not be driven (services/ros2/README.md says how it can)"
+            "watchdog_s: required; give the seconds without a command after which the base stops "
+            "by itself (for a base without a watchdog see services/ros2/README.md)"
         )
     if len(missing) == len(errors) > 1:
-        return (
-            f"lacks {', '.join(missing)}; a preset has what is usual: {', '.join(known_presets())}"
-        )
-    if errors[0]["type"] == "value_error":  # one of our own, which says where
+        return f"missing {', '.join(missing)}; presets with defaults: {', '.join(known_presets())}"
+    if errors[0]["type"] == "value_error":  # A validator of ours, whose text names the setting.
         return str(errors[0]["ctx"]["error"])
     return describe(error)
 
@@ -196,7 +197,7 @@ def _read(path: Path) -> dict[str, Any]:
         with path.open("rb") as file:
             text = file.read(_LARGEST + 1)
         if len(text) > _LARGEST:
-            raise UsageError(f"{path}: larger than {_LARGEST} bytes; this is no configuration")
+            raise UsageError(f"{path}: too large for a configuration (maximum {_LARGEST} bytes)")
         tree = YAML(typ="safe", pure=True).load(text.decode())
     except OSError as error:
         raise UsageError(
@@ -206,7 +207,7 @@ def _read(path: Path) -> dict[str, Any]:
         reason = printable(" ".join(str(getattr(error, "problem", None) or error).split()))
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f" in line {mark.line + 1}"
-        raise UsageError(f"{path}: no YAML{where}: {reason}") from None
+        raise UsageError(f"{path}: invalid YAML{where}: {reason}") from None
     if not isinstance(tree, dict):
         raise UsageError(f"{path}: expected settings such as `preset: turtlebot4`")
     return tree
@@ -223,7 +224,7 @@ def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 
 class Ros2Settings(RobotSettings):
-    """Which base."""
+    """Settings of the base."""
 
     ros2_config: Path
-    """File that says which base this is, and how it is reached; it may begin with a preset."""
+    """Configuration file of the base, which can begin with a preset."""

@@ -9,9 +9,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from services.kit.ros_message import ros_message
 
 Distribution = Literal["humble", "iron", "jazzy", "kilted", "lyrical"]
-RosMessage: TypeAlias = (
-    Any  # A message, or a part of one: its class is made of its definition when that is read.
-)
+# A message, or a part of one: its class is created from its definition at run time.
+RosMessage: TypeAlias = Any
 
 TWIST: Final = "geometry_msgs/msg/Twist"
 TWIST_STAMPED: Final = "geometry_msgs/msg/TwistStamped"
@@ -29,10 +28,9 @@ BOOL: Final = "std_msgs/msg/Bool"
 HAZARDS: Final = "irobot_create_msgs/msg/HazardDetectionVector"
 SENSOR_STATE: Final = "turtlebot3_msgs/msg/SensorState"
 
-_LAST_NS: Final = (
-    2**31 - 1
-) * 1_000_000_000  # The last moment that a stamp, which has 32 bits of seconds, can hold.
-# Of bases whose messages are not among those of the distributions.
+# The last moment that a stamp, which has 32 bits of seconds, can hold.
+_LAST_NS: Final = (2**31 - 1) * 1_000_000_000
+# Of bases whose messages are not part of the distributions.
 _MORE: Final = {
     "irobot_create_msgs/msg/HazardDetection": "std_msgs/Header header\nuint8 type\n",
     HAZARDS: "std_msgs/Header header\nirobot_create_msgs/HazardDetection[] detections\n",
@@ -45,7 +43,7 @@ _MORE: Final = {
 
 
 class MessageError(Exception):
-    """Bytes are not what their type says; the text says why in one line."""
+    """Bytes that do not match their type; the text gives the reason in one line."""
 
 
 @cache
@@ -59,7 +57,7 @@ def _store(distribution: Distribution) -> RosMessage:
 
 
 class Messages:
-    """Writes and reads the messages of a ROS 2 distribution."""
+    """Encodes and decodes the messages of a ROS 2 distribution."""
 
     def __init__(self, distribution: Distribution) -> None:
         self._store = _store(distribution)
@@ -75,10 +73,10 @@ class Messages:
         )
 
     def read(self, type_name: str, payload: bytes) -> RosMessage:
-        """Return the message in some bytes; where there is none, that is a `MessageError`."""
+        """Decode a message; MessageError for invalid bytes."""
         try:
             return self._store.deserialize_cdr(payload, type_name)
-        except Exception as error:  # noqa: BLE001 - the package does not say which ones; these are bytes of a stranger
+        except Exception as error:  # noqa: BLE001 - undocumented errors for untrusted bytes
             raise MessageError(f"not a {type_name}: {type(error).__name__}") from None
 
     def velocity(
@@ -88,11 +86,18 @@ class Messages:
         stamp_ns: int | None,
         wheelbase_m: float | None = None,
     ) -> bytes:
-        """Return a Twist or, with a stamp, a TwistStamped: speed ahead, and counter-clockwise.
+        """Return a Twist, TwistStamped, AckermannDrive or AckermannDriveStamped as bytes.
 
-        With a wheelbase it is an AckermannDrive: speed, and the angle to the left by which it turns so; 0 in standing.
-        The stamp is by the robot's clock, nanoseconds since 1970, 0 where that is not known; of a clock beyond what a
-        stamp can hold it is the nearest that one can.
+        Parameters
+        ----------
+        ahead_m_s, turn_rad_s
+            Speed ahead, and turn rate counter-clockwise.
+        stamp_ns
+            Stamp by the robot's clock, nanoseconds since 1970, clipped to its range; 0 if unknown,
+            None for a type without a stamp.
+        wheelbase_m
+            From axle to axle, for AckermannDrive: its steering angle to the left gives the turn
+            rate, and is 0 in standing.
         """
         plain, stamped = VELOCITIES[wheelbase_m is not None]
         part = "twist"

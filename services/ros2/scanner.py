@@ -1,4 +1,4 @@
-"""What a laser scan says of the ways ahead and back: something is near, they are free, or it does not tell."""
+"""Evaluate a laser scan for the ways ahead and back: blocked, free or unknown."""
 
 import math
 from typing import Final, NamedTuple
@@ -8,26 +8,31 @@ import numpy as np
 from services.ros2.config import ScanTopic
 from services.ros2.messages import MessageError, RosMessage
 
-_TURN_RAD: Final = (
-    1.01 * math.tau
-)  # A whole turn; drivers round, and one in a hundred is far more than they do.
+# A whole turn; drivers round it, by far less than one in a hundred.
+_TURN_RAD: Final = 1.01 * math.tau
 
 
 class Way(NamedTuple):
-    """What is known of one way."""
+    """Evaluation of one way."""
 
     nearest_m: float
-    """Distance of the nearest thing nearer than `ScanTopic.stop_m`; else infinity. Too near to be measured is 0."""
-    unseen_rad: float  # The widest angle in which no beam tells anything.
-    seen: bool  # Whether that is narrow enough for the way to be free.
+    """Distance of the nearest obstacle within `ScanTopic.stop_m`, otherwise infinity; 0 if too near
+    to measure.
+    """
+    unseen_rad: float  # The widest angle without a valid beam.
+    seen: bool  # Whether that angle is narrow enough for the way to be free.
 
 
 def ways(message: RosMessage, scan: ScanTopic) -> tuple[Way, Way]:
-    """Return what a LaserScan says of the way ahead, and of the way back.
+    """Evaluate a LaserScan for the way ahead, and the way back.
 
-    Near is -inf or a range, also below the scanner's least; free is +inf or a range that it can have (REP 117). NaN, 0
-    (unless it is told what that means), and a part of the robot say nothing. MessageError where angles or limits are
-    those of no scanner, or of one that cannot tell what it is asked.
+    Blocked is -inf or a range, even below the scanner's minimum; free is +inf or a valid range (REP
+    117). NaN, 0 (unless `zero_is_free`), and parts of the robot are unknown.
+
+    Raises
+    ------
+    MessageError
+        If angles or limits are invalid, or the scanner cannot measure at `ScanTopic.stop_m`.
     """
     ranges = np.asarray(message.ranges, dtype=np.float64)
     _check(message, ranges.size, scan)
@@ -41,8 +46,8 @@ def ways(message: RosMessage, scan: ScanTopic) -> tuple[Way, Way]:
     def way(middle_rad: float) -> Way:
         off = np.remainder(angles - middle_rad + math.pi, math.tau) - math.pi
         inside = np.abs(off) <= half_rad
-        told = np.sort(off[inside & (near | free)])
-        gap_rad = float(np.diff(told, prepend=-half_rad, append=half_rad).max())
+        valid = np.sort(off[inside & (near | free)])
+        gap_rad = float(np.diff(valid, prepend=-half_rad, append=half_rad).max())
         nearest_m = float(ranges[inside & near].min(initial=math.inf))
         return Way(max(0.0, nearest_m), gap_rad, gap_rad <= min(scan.gap_rad, half_rad))
 
@@ -57,10 +62,10 @@ def _check(message: RosMessage, beams: int, scan: ScanTopic) -> None:
     geometry = beams > 0 and step != 0 and abs(begin) <= _TURN_RAD and abs(turn) <= _TURN_RAD
     if not (geometry and abs(begin + turn - end) <= scan.gap_rad):
         raise MessageError(
-            f"{beams} beams from {begin:g} to {end:g} rad in steps of {step:g}: that is no scan"
+            f"invalid scan: {beams} beams from {begin:g} to {end:g} rad in steps of {step:g}"
         )
     if not 0 <= message.range_min < scan.stop_m <= message.range_max:
         limits = f"from {message.range_min:g} to {message.range_max:g} m"
         raise MessageError(
-            f"it measures {limits}: that does not tell what is nearer than {scan.stop_m:g} m"
+            f"invalid range {limits}: obstacles nearer than {scan.stop_m:g} m are not covered"
         )

@@ -1,4 +1,4 @@
-"""What a robot's messages say: its newest frame, its wheels, its inertial unit, and what forbids to go on."""
+"""State of a robot's inputs: newest frame, odometry, inertial readings, and forbidden movements."""
 
 import logging
 import math
@@ -28,13 +28,14 @@ from services.ros2.scanner import ways
 from services.ros2.wheels import Wheels, WheelTrack
 from smal.camera import Camera
 
-_KEPT: Final = 100  # Wheels that were read within this time of a frame are looked through for those of its moment.
-#: As `schemas.motion` and `schemas.camera` have it; and far more than any base does.
+# Number of odometry readings that are searched for the moment of a frame.
+_KEPT: Final = 100
+#: As in `schemas.motion` and `schemas.camera`; far beyond any base.
 _MOST_RAD_S = 100.0
 _MOST_M_S2 = 1000.0
 _MOST_COLUMNS = 4096
 _MOST_ROWS = 3072
-#: Most bytes of a message: of a picture as the stack's own bus takes it, of 130,000 beams, of anything else.
+#: Maximum size of a message: an image for the stack's bus, 130,000 beams, or anything else.
 _MOST_BYTES: Final = {
     messages.IMAGE: LARGEST_BYTES,
     messages.COMPRESSED_IMAGE: CompressedImage.max_bytes - 1024,
@@ -42,15 +43,15 @@ _MOST_BYTES: Final = {
 }
 _MOST_OTHER_BYTES: Final = 1 << 16
 _MOVING: Final = frozenset(ATOMS) - {"stop"}
-Ban = tuple[str, frozenset[Atom]]  # Why movements are forbidden, and which.
+Ban = tuple[str, frozenset[Atom]]  # Reason, and the forbidden movements.
 # Of irobot_create_msgs/msg/HazardDetection, by number.
 _HAZARDS: Final[dict[int, Ban]] = {
-    0: ("it may not back further", frozenset({"backward"})),
+    0: ("the limit of backing up is reached", frozenset({"backward"})),
     1: ("its bumper is pressed", _MOVING - {"backward"}),
-    2: ("it stands before a cliff", _MOVING - {"backward"}),
+    2: ("a cliff is ahead", _MOVING - {"backward"}),
     3: ("its wheels are stalled", _MOVING),
     4: ("a wheel hangs in the air", _MOVING),
-    5: ("something is near its front", frozenset({"forward"})),
+    5: ("an obstacle is near its front", frozenset({"forward"})),
 }
 _UNKNOWN_HAZARD: Final[Ban] = ("an unknown hazard is near", _MOVING)
 _BUMP: Final = 1
@@ -62,26 +63,27 @@ _log = logging.getLogger("ros2")
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A picture, still as it came (CompressedImage or Image), and when the light fell in by our clock."""
+    """Undecoded image (CompressedImage or Image), and its exposure by our clock."""
 
     message: RosMessage
     captured_s: float
 
 
 class Heard(NamedTuple):
-    """A topic that is listened to."""
+    """A subscribed topic."""
 
     type_name: str
     take: Callable[[RosMessage, float], None]  # Takes a message, and when it was made by our clock.
-    clock: StampedClock | None = (
-        None  # That of its stamps; None where messages count from their arrival.
-    )
+    # Clock of its stamps; None if messages count from their arrival.
+    clock: StampedClock | None = None
     silence_s: float | None = None
-    """After so much silence the robot is not moved: infinity for who speaks only of changes, None for who need not."""
+    """Silence after which the robot is not moved: infinity for topics of changes only, None if
+    optional.
+    """
 
 
 class Senses:
-    """Takes a robot's messages on whatever thread they come, and tells the newest of it."""
+    """Stores the newest messages of a robot; thread-safe."""
 
     def __init__(self, config: Ros2Config, clock: Callable[[], float] = now_s) -> None:
         self._config = config
@@ -89,20 +91,19 @@ class Senses:
         self._clock = clock
         self._lock = Lock()
         self._heard_s: dict[str, float] = {}
-        self._asked_s = -math.inf  # When the newest echo that has come back was sent.
+        self._asked_s = -math.inf  # Time at which the newest received echo was sent.
         self._wheels: deque[Wheels] = deque(maxlen=_KEPT)
         self._imu: deque[ImuReading] = deque(maxlen=MAX_SAMPLES)
         self.camera: Camera | None = None
         self._forbidden: dict[str, tuple[Ban, ...]] = {}
         self._unseen: dict[Atom, str] = {}
         self._complaints = Throttle()
-        self.frame: Frame | None = None  # The newest one.
+        self.frame: Frame | None = None
         silence_s = 0.0 if config.odometry is None else config.odometry.silence_s
         self.track = WheelTrack(config.speed_m_s, config.turn_rate_rad_s, silence_s)
-        self.touched = False  # Whether the bumper was pressed since this was last set.
-        self.refused: Counter[str] = (
-            Counter()
-        )  # Messages that were none, or not newer than the one before, by topic.
+        self.touched = False  # Whether the bumper was pressed since this was last reset.
+        # Messages that were invalid or not newer than the one before, by topic.
+        self.refused: Counter[str] = Counter()
         self.camera_clock = StampedClock()
         self.inputs = self._plan(config)
 
@@ -123,7 +124,7 @@ class Senses:
             take = partial(self._scan, topic, config.scan)
             inputs[topic] = Heard(messages.LASER_SCAN, take, StampedClock(), config.scan.silence_s)
         for stop in config.stops:
-            # What speaks of changes only is as old as it is; and a Bool has no stamp.
+            # Topics of changes are as old as their arrival, and a Bool has no stamp.
             stamped = stop.silence_s is not None and stop.type != messages.BOOL
             take = partial(self._stop, full(stop.topic), str(stop.type))
             clock = StampedClock() if stamped else None
@@ -131,24 +132,24 @@ class Senses:
             inputs[full(stop.topic)] = Heard(str(stop.type), take, clock, silence_s)
         return inputs
 
-    # -- what comes -----------------------------------------------------------------------------------------------
+    # -- received ----------------------------------------------------------------------------------
 
     def echoed(self, asked_s: float) -> None:
-        """Note that the robot's router has returned what was sent at this time, by our clock.
+        """Store the sending time, by our clock, of an echo that the robot's router returned.
 
-        The link hands over in order: a message that comes later left the router later.
+        The link preserves the order: a later message left the router later.
         """
         self._asked_s = asked_s
 
     def take(self, topic: str, payload: bytes) -> None:
-        """Take the bytes of a message; whatever they are, nothing is raised."""
+        """Take the bytes of a message; never raises an error."""
         arrived_s = self._clock()
         link_s = arrived_s - self._asked_s
         heard = self.inputs[topic]
         try:
             most = _MOST_BYTES.get(heard.type_name, _MOST_OTHER_BYTES)
             if len(payload) > most:
-                raise MessageError(f"{len(payload)} bytes, more than {most}")
+                raise MessageError(f"too large ({len(payload)} bytes > maximum {most})")
             message = self._messages.read(heard.type_name, payload)
             with self._lock:
                 made_s: float | None = arrived_s
@@ -156,25 +157,25 @@ class Senses:
                     stamp = message.header.stamp
                     made_s = heard.clock.made_s(stamp.sec + stamp.nanosec / 1e9, arrived_s, link_s)
                 if made_s is None:
-                    raise MessageError("its stamp is not newer than that of the one before")
+                    raise MessageError("its stamp is not newer than the previous stamp")
                 heard.take(message, made_s)
                 self._heard_s[topic] = made_s
         except MessageError as error:
             self.refuse(topic, str(error))
 
     def changes(self) -> list[str]:
-        """Return the topics that speak only of changes."""
+        """Return the topics that publish only changes."""
         return [topic for topic, heard in self.inputs.items() if heard.silence_s == math.inf]
 
     def forget(self, topic: str) -> None:
-        """Forget that a topic has spoken; what it forbade stays forbidden until it speaks again."""
+        """Forget that a topic was received; its prohibitions stay until the next message."""
         self._heard_s.pop(topic, None)
 
     def refuse(self, topic: str, why: str) -> None:
-        """Count a message that is not taken."""
+        """Count a refused message."""
         self.refused[topic] += 1
         if self._complaints.due():
-            _log.warning("%s: message refused (%d so far): %s", topic, self.refused[topic], why)
+            _log.warning("%s: message refused (%d in total): %s", topic, self.refused[topic], why)
 
     def _see(self, message: RosMessage, made_s: float) -> None:
         self.frame = Frame(message, made_s - self._config.camera.latency_s)
@@ -207,22 +208,22 @@ class Senses:
         try:
             told = ways(message, scan)
         except MessageError as error:
-            # Whatever the one before has said: where this one cannot be read, nothing is known.
+            # An unreadable scan invalidates the previous one.
             self._unseen = {atom: f"{topic}: {error}" for atom, _, must in places if must}
             raise
         unclear = (
             ""
             if scan.zero_is_free or np.all(message.ranges)
-            else "; is its 0 a free way? see zero_is_free"
+            else "; if 0 means free, set zero_is_free"
         )
         forbidden: list[Ban] = []
         unseen: dict[Atom, str] = {}
         for (atom, where, must), way in zip(places, told, strict=True):
             if way.nearest_m < math.inf:
-                forbidden.append((f"something is {way.nearest_m:.2f} m {where}", frozenset({atom})))
+                forbidden.append((f"obstacle {way.nearest_m:.2f} m {where}", frozenset({atom})))
             if must and not way.seen:
                 unseen[atom] = (
-                    f"{topic} says nothing of {math.degrees(way.unseen_rad):.0f} degrees {where}{unclear}"
+                    f"{topic}: {math.degrees(way.unseen_rad):.0f} degrees {where} are unknown{unclear}"
                 )
         self._forbidden[topic] = tuple(forbidden)
         self._unseen = unseen
@@ -231,10 +232,10 @@ class Senses:
         touched, self._forbidden[topic] = _STOPS[type_name](message)
         self.touched |= touched
 
-    # -- what is known --------------------------------------------------------------------------------------------
+    # -- evaluation --------------------------------------------------------------------------------
 
     def forbids(self, atom: Atom) -> str | None:
-        """Say why the base must not make a movement; None where it may."""
+        """Return why the base must not make a movement, or None."""
         for topic, forbidden in list(self._forbidden.items()):
             for why, atoms in forbidden:
                 if atom in atoms:
@@ -242,46 +243,48 @@ class Senses:
         return None
 
     def silent(self, *atoms: Atom) -> str | None:
-        """Say which silent topic, or way that no beam has seen, forbids movements; None where nothing does."""
+        """Return which silent topic or unknown way prevents movements, or None."""
         now = self._clock()
         for topic, heard in self.inputs.items():
             if heard.silence_s is None:
                 continue
             heard_s = self._heard_s.get(topic)
             if heard_s is None:
-                return f"nothing has come from {topic}"
+                return f"no message received from {topic}"
             if now - heard_s > heard.silence_s:
-                return f"nothing has come from {topic} for {now - heard_s:.1f} s"
+                return f"no message from {topic} for {now - heard_s:.1f} s"
         return self.learning() or next(
             (self._unseen[atom] for atom in atoms if atom in self._unseen), None
         )
 
     def learning(self) -> str | None:
-        """Say whose clock is not known yet, of the camera and those who must be heard; None where all are."""
+        """Return which required clock is still unknown, or None."""
         if self._asked_s == -math.inf:
-            return "the age of messages is unknown: the robot's router returns no echo (is smal/echo/** denied?)"
+            return (
+                "the age of messages is unknown: the robot's router returns no echo; "
+                "allow smal/echo/** there"
+            )
         for topic, heard in self.inputs.items():
             must = heard.clock is self.camera_clock or heard.silence_s is not None
             if must and heard.clock is not None and not heard.clock.known:
-                return f"how the clock of {topic} stands is learned; that takes {LEARN_S:g} s"
+                return f"the clock of {topic} is being learned; wait {LEARN_S:g} s"
         return None
 
     def wheels_at(self, at_s: float) -> Wheels | None:
-        """Return what the wheels said nearest to a moment."""
+        """Return the odometry nearest to a moment."""
         with self._lock:
             return min(self._wheels, key=lambda one: abs(one.read_s - at_s), default=None)
 
     def imu_since_last(self) -> list[ImuReading]:
-        """Return the inertial readings since this was last called, by our clock."""
+        """Return the inertial readings since the last call, by our clock."""
         with self._lock:
             readings = list(self._imu)
             self._imu.clear()
         return readings
 
 
-Said = tuple[
-    bool, tuple[Ban, ...]
-]  # What a stop's message says: whether something was touched, and what is forbidden.
+# Evaluation of a stop topic: whether a bumper was touched, and the prohibitions.
+Said = tuple[bool, tuple[Ban, ...]]
 
 
 def _hazards(message: RosMessage) -> Said:
@@ -296,12 +299,12 @@ def _bumpers(message: RosMessage) -> Said:
     if others == _BUMPER_BACKWARD:
         forbidden.append(("its rear bumper is pressed", _MOVING - {"forward"}))
     elif others:
-        forbidden.append(("a bumper that is not known is pressed", _MOVING))
+        forbidden.append(("an unknown bumper is pressed", _MOVING))
     return bool(message.bumper), tuple(forbidden)
 
 
 def _button(message: RosMessage) -> Said:
-    return False, (("it is told not to move", _MOVING),) if message.data else ()
+    return False, (("its stop topic is true", _MOVING),) if message.data else ()
 
 
 _STOPS: Final[dict[str, Callable[[RosMessage], Said]]] = {
@@ -314,15 +317,15 @@ def _triple(vector: RosMessage) -> Triple:
 
 
 def _check_finite(what: str, values: tuple[float, ...], most: float) -> None:
-    if not all(abs(value) <= most for value in values):  # NaN is not either
-        raise MessageError(f"its {what} is not finite, or beyond {most:g}")
+    if not all(abs(value) <= most for value in values):  # False for NaN.
+        raise MessageError(f"invalid {what}: must be finite and at most {most:g}")
 
 
 def picture(message: RosMessage) -> bytes:
-    """Return the JPEG of a CompressedImage, or of the pixels of an Image; MessageError where there is none."""
+    """Return a message's image as JPEG; MessageError if it is invalid."""
     try:
         if hasattr(message, "format"):
-            # It goes on as it came; decoded to see that it is whole.
+            # Published unchanged; decoded to check that it is complete.
             jpeg = message.data.tobytes()
             image = decode_jpeg(jpeg)
         else:
@@ -332,7 +335,9 @@ def picture(message: RosMessage) -> bytes:
             jpeg = b""
         height, width, _ = image.shape
         if width > _MOST_COLUMNS or height > _MOST_ROWS:
-            raise MessageError(f"{width}x{height} pixels, more than {_MOST_COLUMNS}x{_MOST_ROWS}")
+            raise MessageError(
+                f"too large ({width}x{height} pixels > maximum {_MOST_COLUMNS}x{_MOST_ROWS})"
+            )
         return jpeg or encode_jpeg(image)
     except ValueError as error:
         raise MessageError(str(error)) from None

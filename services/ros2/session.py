@@ -1,4 +1,4 @@
-"""The session with the robot's own router, apart from the stack's; the one file here that imports zenoh."""
+"""Session with the robot's own router, apart from the stack's; the only module here with Zenoh."""
 
 import json
 import logging
@@ -22,13 +22,14 @@ from services.ros2.messages import Messages
 from services.ros2.senses import Senses
 from services.ros2.wire import Bridge, Endpoint, Kind, Qos, RmwZenoh, gid_of, read_attachment
 
-#: How long the robot's router is waited for at the start; after an outage the connection is made again by itself.
+#: Timeout of the first connection; later reconnections are automatic.
 PATIENCE_MS: Final = 5000
-#: How often the round trip is measured, seconds: a message counts as older by at most so much, and by the round trip.
+#: Period of the round trip measurement, seconds: it limits the error of a message's age, besides the
+#: round trip.
 ECHO_S: Final = 0.03
-_ECHOES: Final = 1000  # Echoes that may be under way: half a minute of them.
-#: Sensors' topics are best effort, as `rmw_qos_profile_sensor_data`; commands are reliable. Of what speaks only of
-#: changes, the last word is wanted that was said before we came.
+_ECHOES: Final = 1000  # Maximum echoes in flight: half a minute.
+#: Sensor topics are best effort, as in `rmw_qos_profile_sensor_data`; commands are reliable. Topics
+#: of changes are latched, to receive the last message from before the subscription.
 _SENSOR = Qos(reliable=False, depth=5)
 _COMMAND = Qos(reliable=True, depth=10)
 _CHANGES = Qos(reliable=True, depth=1, latched=True)
@@ -50,17 +51,23 @@ def _settings(config: Ros2Config) -> zenoh.Config:
         "scouting/multicast/enabled": False,
         "transport/link/tx/lease": 2000,
         "transport/shared_memory/enabled": False,
-        # What is larger is dropped while it comes in; otherwise a message takes up to 1 GiB here.
+        # Larger messages are dropped on arrival; otherwise one takes up to 1 GiB here.
         "transport/link/rx/max_message_size": LARGEST_BYTES,
     }
-    made = zenoh.Config()
+    configuration = zenoh.Config()
     for key, value in settings.items():
-        made.insert_json5(key, json.dumps(value))
-    return made
+        configuration.insert_json5(key, json.dumps(value))
+    return configuration
 
 
 class Ros2Session:
-    """The way to a base: hears what it says, and sends it velocities; ServiceError when its router does not answer."""
+    """Link to a base: receives its messages, and sends velocities.
+
+    Raises
+    ------
+    ServiceError
+        If its router does not answer.
+    """
 
     def __init__(self, config: Ros2Config, senses: Senses) -> None:
         self._config = config
@@ -118,7 +125,7 @@ class Ros2Session:
         self._declare(token)
         return token or ""
 
-    # -- what is heard --------------------------------------------------------------------------------------------
+    # -- received ----------------------------------------------------------------------------------
 
     def _listener(self, topic: str) -> Callable[[zenoh.Sample], None]:
         def on_sample(sample: zenoh.Sample) -> None:
@@ -128,10 +135,10 @@ class Ros2Session:
         return _called(on_sample)
 
     def _ask(self, topic: str) -> None:
-        """Listen to a topic that speaks only of changes, and have its publishers tell what they said last.
+        """Subscribe to a topic of changes, and query its publishers for their last message.
 
-        This is done again whenever one of them comes or goes: what was said before counts no more. A publisher that
-        keeps nothing (volatile) is heard with its next change.
+        This repeats whenever a publisher appears or disappears, and discards earlier messages. A
+        volatile publisher, which keeps no message, is received from its next change on.
         """
         self._senses.forget(topic)
         self._heard.pop(topic, None)
@@ -140,34 +147,34 @@ class Ros2Session:
         asked = zenoh.ext.declare_advanced_subscriber(
             self._session, key, self._listener(topic), history=last
         )
-        # Only now, or a change between the two would be lost.
+        # After the new subscription, so that no change in between is lost.
         before = self._changes.get(topic)
         self._changes[topic] = asked
         if before is not None:
             before.undeclare()
 
     def _in_order(self, topic: str, sample: zenoh.Sample) -> bool:
-        """Whether a message is newer than all that its publisher has sent before, as far as the dialect tells."""
+        """Return whether a message is newer than its publisher's earlier ones, by its number."""
         if not self._dialect.attached:
             return True
         attached = (
             None if sample.attachment is None else read_attachment(sample.attachment.to_bytes())
         )
         if attached is None:
-            self._senses.refuse(topic, "without the attachment that rmw_zenoh sends")
+            self._senses.refuse(topic, "no attachment, which rmw_zenoh sends")
             return False
         gid, last = self._heard.get(topic, (b"", -1))
-        # What speaks only of changes may say the last one twice: while it is asked anew, it is listened to twice.
+        # A repeated query receives the last change twice, because two subscriptions overlap.
         if attached.gid == gid and attached.sequence < last + (topic not in self._changes):
             self._senses.refuse(
                 topic, f"number {attached.sequence} of its publisher came after a later one"
             )
             return False
-        # Of each topic the publisher that is heard now; one that was started again has another id.
+        # The current publisher of each topic; a restarted publisher has another id.
         self._heard[topic] = attached.gid, attached.sequence
         return True
 
-    # -- who is there ---------------------------------------------------------------------------------------------
+    # -- endpoints ---------------------------------------------------------------------------------
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         token = str(sample.key_expr)
@@ -175,18 +182,17 @@ class Ros2Session:
         with self._lock:
             if endpoint is None or self._closed:
                 return
-            speaks = endpoint.kind == "MP" and endpoint.topic in self._changes
-            if not (speaks or (endpoint.kind == "MS" and endpoint.topic == self._topic)):
+            changes = endpoint.kind == "MP" and endpoint.topic in self._changes
+            if not (changes or (endpoint.kind == "MS" and endpoint.topic == self._topic)):
                 return
-            if speaks:
-                self._ask(
-                    endpoint.topic
-                )  # before it counts as there: what it said in another life is forgotten first
+            if changes:
+                # First, so that messages of an earlier publisher are discarded.
+                self._ask(endpoint.topic)
             if sample.kind == zenoh.SampleKind.DELETE:
                 self._tokens.pop(token, None)
             else:
                 self._tokens[token] = endpoint
-            if not speaks:
+            if not changes:
                 self._choose(self._there("MS", endpoint.topic))
 
     def _there(self, kind: Kind, topic: str) -> list[Endpoint]:
@@ -200,41 +206,46 @@ class Ros2Session:
         if wanted is None:
             if types:
                 named = ", ".join(sorted(map(printable, types)))
-                _log.error("%s takes %s; it is told %s or %s", self._topic, named, *self._types)
+                _log.error(
+                    "%s: unsupported type %s; supported are %s and %s",
+                    self._topic,
+                    named,
+                    *self._types,
+                )
             return
         hashes = {one.type_hash for one in endpoints if one.type_name == wanted}
         own = self._dialect.type_hash(wanted)
         if own not in hashes:
             _log.error(
-                "%s: the robot's %s is %s, that of %s is %s: set distribution to the robot's",
+                "%s: the robot's %s is %s, but for %s it is %s; set distribution to the robot's",
                 self._topic, wanted, printable(min(hashes)), self._config.distribution, own,
             )  # fmt: skip
         if wanted != self._type and self._auto:
             self._type = wanted
-            _log.info("%s takes %s: that is what is sent", self._topic, wanted)
+            _log.info("%s: sending %s", self._topic, wanted)
         elif wanted != self._type:
             _log.error(
-                "%s takes %s, and velocity.type is %s: it will not move",
+                "%s has the type %s, but velocity.type is %s; the robot will not move",
                 self._topic,
                 wanted,
                 self._type,
             )
 
-    # -- what is sent ---------------------------------------------------------------------------------------------
+    # -- sent --------------------------------------------------------------------------------------
 
     def lacks(self) -> str | None:
-        """Say who is missing for the base to take velocities, or to say when it must not."""
+        """Return which endpoint the base lacks to accept velocities or to forbid them, or None."""
         if not self._session.info.routers_zid():
             return f"no connection to {self._config.router}"
         for topic in self._changes:
             if not self._there("MP", topic):
-                return f"nobody publishes {topic}"
+                return f"{topic} has no publisher"
         if self._type is None or (self._auto and not self._there("MS", self._topic)):
-            return f"nobody subscribes to {self._topic}"
+            return f"{self._topic} has no subscriber"
         return None
 
     def send(self, ahead_m_s: float, turn_rad_s: float, robot_s: float | None) -> None:
-        """Send a velocity; what the link does not take at once is dropped, for the next one is newer."""
+        """Send a velocity; if the link is full it is dropped, since the next one is newer."""
         type_name = self._type
         if type_name is None:
             return
@@ -248,8 +259,8 @@ class Ros2Session:
         )
 
     def _publisher(self, type_name: str) -> tuple[zenoh.Publisher, bytes]:
-        made = self._publishers.get(type_name)
-        if made is None:
+        entry = self._publishers.get(type_name)
+        if entry is None:
             publisher = self._session.declare_publisher(
                 self._dialect.key(self._topic, type_name),
                 congestion_control=zenoh.CongestionControl.DROP,
@@ -257,15 +268,15 @@ class Ros2Session:
                 express=True,
             )
             token = self._announce("MP", self._topic, type_name, _COMMAND)
-            made = self._publishers[type_name] = publisher, gid_of(token)
-        return made
+            entry = self._publishers[type_name] = publisher, gid_of(token)
+        return entry
 
     def detail(self) -> Detail:
-        """Tell the type of the commands."""
+        """Return the type of the commands, and whether the router is connected."""
         return {"velocity_type": self._type, "robot_router": bool(self._session.info.routers_zid())}
 
     def close(self) -> None:
-        """Leave."""
+        """Close the session."""
         with self._lock:
             self._closed = True
         self._echo.close()
@@ -273,10 +284,10 @@ class Ros2Session:
 
 
 class Echo:
-    """Measures the round trip to the robot's router, which returns what a second session sends.
+    """Measures the round trip to the robot's router, by echoes of a second session.
 
-    Both dialects have this router. Echoes are of the priority of pictures and go the same way: they wait where pictures
-    wait. A router does not return what the same session sent, hence the second one.
+    Both dialects have this router. Echoes have the priority of images and share their queues. A
+    router does not return messages to the session that sent them, hence the second session.
     """
 
     def __init__(
@@ -305,7 +316,7 @@ class Echo:
         while not self._ended.wait(ECHO_S):
             if len(self._sent) >= _ECHOES:
                 self._sent.clear()
-            # By chance, so that only what was sent can come back.
+            # Random, so that only a sent word can return.
             word = secrets.token_bytes(8)
             self._sent[word] = now_s()
             self._publisher.put(word)
@@ -319,18 +330,18 @@ class Echo:
 def _in_turn(handler: Callable[[zenoh.Sample], None]) -> "zenoh.handlers.Callback[zenoh.Sample]":
     """Handle samples of all keys on the thread of the link, in the order of their arrival.
 
-    On threads of their own a picture waits while a later echo overtakes it.
+    With separate threads a later echo overtakes a waiting image.
     """
     return zenoh.handlers.Callback(handler, indirect=False)
 
 
 def _called(handler: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.Sample], None]:
-    """Log what goes wrong in a callback; Zenoh would end its thread's loop, or say nothing."""
+    """Log errors of a callback; otherwise Zenoh ends its thread's loop, or hides them."""
 
     def call(sample: zenoh.Sample) -> None:
         try:
             handler(sample)
-        except Exception:  # noqa: BLE001 - whatever it is, the next sample is taken
+        except Exception:  # noqa: BLE001 - the next sample must be handled
             _log.exception("%s", sample.key_expr)
 
     return call

@@ -1,23 +1,24 @@
-"""Where the wheels say that the base is, and what that means for an episode."""
+"""Odometry of the base, and its pose relative to an episode's start."""
 
 import math
 from typing import NamedTuple
 
 from services.robot.body import OdometryReading
 
-# Poses further apart than the base can have gone, by this much, are of wheels that began to count anew.
+# Poses that differ by this much more than the base can move belong to odometry that was reset.
 _LEAP_M = 0.3
 _LEAP_RAD = 0.3
-#: As `schemas.motion` has it; and far more than any base does.
+#: As in `schemas.motion`; far beyond any base.
 _MOST_M = 1e6
 _MOST_RAD_S = 100.0
 _MOST_M_S = 100.0
 
 
 class Wheels(NamedTuple):
-    """Where the wheels say that a base is since we listen, how far it went (backwards less), and how far it turned."""
+    """Accumulated pose since the subscription, signed distance ahead, and angle turned."""
 
-    read_s: float  # When that was, by our clock.
+    # Time of the reading, by our clock.
+    read_s: float
     x_m: float = 0.0
     y_m: float = 0.0
     heading_rad: float = 0.0
@@ -26,10 +27,10 @@ class Wheels(NamedTuple):
 
 
 class WheelTrack:
-    """Adds up what the wheels say, so that a base whose count begins anew does not leap.
+    """Accumulates odometry poses without the leap when a base resets its odometry.
 
-    Of the speeds that the base has at most twice is believed. After so much silence the count may have begun anew: it
-    has where it is nearer to nothing than to what it was.
+    At most twice the base's speeds are plausible. After `silence_s` the odometry can have been
+    reset: it has if it is nearer to zero than to its previous pose.
     """
 
     def __init__(self, speed_m_s: float, turn_rate_rad_s: float, silence_s: float) -> None:
@@ -38,10 +39,10 @@ class WheelTrack:
         self._turn_rate_rad_s = turn_rate_rad_s
         self._raw: tuple[float, float, float] | None = None
         self._now = Wheels(0.0)
-        self.leaps = 0  # How many times it leapt.
+        self.leaps = 0
 
     def add(self, read_s: float, x_m: float, y_m: float, heading_rad: float) -> Wheels:
-        """Take the next pose."""
+        """Add the next pose."""
         now = self._now
         raw = self._raw
         self._raw = x_m, y_m, heading_rad
@@ -59,7 +60,7 @@ class WheelTrack:
         if far:
             self.leaps += 1
             dx = dy = turned = 0.0
-        # What was gone is seen from where the base stood, and laid on to where we say that it stood.
+        # Rotate the movement from the base's heading to the accumulated heading.
         by = now.heading_rad - raw[2]
         middle = raw[2] + turned / 2
         self._now = Wheels(
@@ -78,7 +79,7 @@ def _size(x_m: float, y_m: float, angle_rad: float) -> float:
 
 
 def reading(now: Wheels, since: Wheels, last: Wheels) -> OdometryReading:
-    """Return what the wheels say now, from where they were when an episode began, and when they were last read."""
+    """Return the odometry reading since an episode's start, with the latest speeds."""
     dx = now.x_m - since.x_m
     dy = now.y_m - since.y_m
     cos = math.cos(since.heading_rad)

@@ -1,4 +1,4 @@
-"""How ROS 2 speaks over Zenoh: keys, liveliness tokens and attachments, in two dialects. Pure: no session here."""
+"""Encoding of ROS 2 over Zenoh in two dialects: keys, liveliness tokens and attachments."""
 
 import re
 import struct
@@ -10,18 +10,18 @@ from services.ros2.messages import Messages
 
 Kind = Literal["MP", "MS"]
 DialectName = Literal["rmw_zenoh", "zenoh-bridge-ros2dds"]
-NO_TYPE_HASH: Final = (
-    "TypeHashNotSupported"  # What stands in the place of a type's hash in Humble, which has none.
-)
+# Replaces the type hash in Humble, which has none.
+NO_TYPE_HASH: Final = "TypeHashNotSupported"
 _GID_BYTES: Final = 16
-# Names that releases before Jazzy 0.2.4 and Humble 0.1.2 write before the values, as strings with their length.
+# Names that releases before Jazzy 0.2.4 and Humble 0.1.2 write before the values, as strings with
+# their length.
 _OLD_NAMES: Final = tuple(
     bytes([len(n)]) + n for n in (b"sequence_number", b"source_timestamp", b"source_gid")
 )
 
 
 class Endpoint(NamedTuple):
-    """One publisher (MP) or subscription (MS) of a robot, as its liveliness token tells it."""
+    """Publisher (MP) or subscription (MS) of a robot, as in its liveliness token."""
 
     kind: Kind
     topic: str
@@ -30,19 +30,19 @@ class Endpoint(NamedTuple):
 
 
 class Qos(NamedTuple):
-    """What is said of an endpoint's quality of service; all else is the default (keep last)."""
+    """Quality of service of an endpoint, otherwise the default (keep last)."""
 
     reliable: bool
     depth: int
-    latched: bool = False  # Transient local: who comes late wants what was said last.
+    latched: bool = False  # Transient local: late subscribers receive the last message.
 
     def text(self) -> str:
-        """Return it as it stands in a liveliness token; empty is the default."""
+        """Return its text in a liveliness token; empty parts are the default."""
         return f"{'' if self.reliable else 2}:{1 if self.latched else ''}:,{self.depth}:,:,:,,"
 
 
 class Attachment(NamedTuple):
-    """What comes with every message of rmw_zenoh; receivers drop a message without it."""
+    """Attachment of every rmw_zenoh message; receivers drop a message without it."""
 
     sequence: int
     stamp_ns: int
@@ -54,7 +54,7 @@ class Attachment(NamedTuple):
 
 
 def read_attachment(data: bytes) -> Attachment | None:
-    """Return the attachment in some bytes, of today's releases or of older ones; None where there is none."""
+    """Parse an attachment of current or older releases; None for other bytes."""
     for names in ((b"", b"", b""), _OLD_NAMES):
         form = struct.Struct("<{}sq{}sq{}sB16s".format(*map(len, names)))
         if len(data) == form.size:
@@ -65,35 +65,36 @@ def read_attachment(data: bytes) -> Attachment | None:
 
 
 def gid_of(token: str) -> bytes:
-    """Return the id of an endpoint, which is made of its token."""
+    """Return the id of an endpoint, a digest of its token."""
     return xxhash.xxh3_128_digest(token.encode())[::-1]
 
 
 def dds_type(type_name: str) -> str:
-    """Return the name of a type in keys: of std_msgs/msg/String, std_msgs::msg::dds_::String_."""
+    """Return the name of a type in keys: std_msgs::msg::dds_::String_ for std_msgs/msg/String."""
     package, folder, name = type_name.split("/")
     return f"{package}::{folder}::dds_::{name}_"
 
 
 def ros_type(name: str) -> str | None:
-    """Return the name of a type by its name in keys; None where that is none."""
+    """Return the type of a name in keys, or None if invalid."""
     match = re.fullmatch(r"(\w+)::(\w+)::dds_::(\w+)_", name)
     return match and "/".join(match.groups())
 
 
 def qualified(topic: str, namespace: str) -> str:
-    """Return a topic's full name: an absolute one is that already."""
+    """Return a topic's full name; absolute names are unchanged."""
     return topic if topic.startswith("/") else f"{namespace.rstrip('/')}/{topic}"
 
 
 class Bridge:
-    """A robot with another middleware: zenoh-bridge-ros2dds speaks for us, with plain keys and nothing attached."""
+    """Dialect of zenoh-bridge-ros2dds for other middleware: plain keys, no attachments."""
 
-    tokens = "@/*/@ros2_lv/**"  # Key expression of the tokens by which endpoints tell that they are there.
-    attached = False  # Whether a message without an attachment is none.
+    # Key expression of the endpoints' tokens.
+    tokens = "@/*/@ros2_lv/**"
+    attached = False  # Whether messages need an attachment.
 
     def type_hash(self, _type_name: str) -> str:
-        """Return the hash of a type as it stands in keys; here none does."""
+        """Return the hash of a type in keys; empty in this dialect."""
         return ""
 
     def key(self, topic: str, _type_name: str) -> str:
@@ -101,7 +102,7 @@ class Bridge:
         return topic.strip("/")
 
     def read_token(self, token: str) -> Endpoint | None:
-        """Return the endpoint that a token tells of: the bridge's zid, the kind, the key, the type; else None."""
+        """Parse a token of the bridge (its zid, the kind, the key, the type), or return None."""
         match = re.fullmatch(r"@/[^/]+/@ros2_lv/(MP|MS)/([^/]+)/([^/]+)/[^/]*", token)
         if match is None:
             return None
@@ -109,25 +110,26 @@ class Bridge:
         return Endpoint(kind, "/" + match[2].replace("§", "/"), match[3].replace("§", "/"), "")
 
     def node_token(self, _session: str) -> str | None:
-        """Return the token by which we are a node, if there is one."""
+        """Return the token of our node; None in this dialect."""
         return None
 
     def endpoint_token(
         self, _session: str, _number: int, _endpoint: Endpoint, _qos: Qos
     ) -> str | None:
-        """Return the token of an endpoint of ours, if there is one."""
+        """Return the token of an endpoint of ours; None in this dialect."""
         return None
 
     def attachment(self, _sequence: int, _stamp_ns: int, _gid: bytes) -> bytes | None:
-        """Return what goes with a message, if anything does."""
+        """Return the attachment of a message; None in this dialect."""
         return None
 
 
 class RmwZenoh(Bridge):
-    """The middleware of ROS 2 itself, rmw_zenoh_cpp.
+    """Dialect of rmw_zenoh_cpp, the middleware of ROS 2 itself.
 
-    The messages are of the robot's distribution, the domain is its ROS_DOMAIN_ID; we are called by namespace and node.
-    Keys hold the hashes of types with ``hashed``; Humble has none.
+    The messages are of the robot's distribution, and the domain is its ROS_DOMAIN_ID. Our name
+    consists of namespace and node. Keys contain the hashes of types with ``hashed``; Humble has
+    none.
     """
 
     attached = True
@@ -148,17 +150,17 @@ class RmwZenoh(Bridge):
         self.tokens = f"@ros2_lv/{domain}/**"  # A wildcard never matches the first part.
 
     def type_hash(self, type_name: str) -> str:
-        """Return the hash, or Humble's word for having none."""
+        """Return the hash of a type, or Humble's placeholder."""
         return self._messages.type_hash(type_name) if self._hashed else NO_TYPE_HASH
 
     def key(self, topic: str, type_name: str) -> str:
-        """Return domain, topic, type and hash."""
+        """Return the key: domain, topic, type and hash."""
         return (
             f"{self._domain}/{topic.strip('/')}/{dds_type(type_name)}/{self.type_hash(type_name)}"
         )
 
     def read_token(self, token: str) -> Endpoint | None:
-        """Read what `endpoint_token` writes, and more of it than we say."""
+        """Parse a token of `endpoint_token`, also with quality settings that we do not use."""
         parts = token.split("/")
         if len(parts) != 13 or parts[0] != "@ros2_lv" or parts[5] not in {"MP", "MS"}:
             return None
@@ -171,11 +173,11 @@ class RmwZenoh(Bridge):
         )
 
     def node_token(self, session: str) -> str:
-        """Return the token by which `ros2 node list` shows us."""
+        """Return the token by which `ros2 node list` shows our node."""
         return f"@ros2_lv/{self._domain}/{session}/0/0/NN/{self._us}"
 
     def endpoint_token(self, session: str, number: int, endpoint: Endpoint, qos: Qos) -> str:
-        """Return the token by which `ros2 topic info` shows us."""
+        """Return the token by which `ros2 topic info` shows our endpoint."""
         what = f"{_mangled(endpoint.topic)}/{dds_type(endpoint.type_name)}/{endpoint.type_hash}/{qos.text()}"
         return f"@ros2_lv/{self._domain}/{session}/0/{number}/{endpoint.kind}/{self._us}/{what}"
 

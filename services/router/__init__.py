@@ -1,1 +1,1 @@
-"""The Zenoh router as a process of ours, where no zenohd is at hand."""
+"""Zenoh router in a Python process, for machines without zenohd."""

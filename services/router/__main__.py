@@ -1,7 +1,8 @@
-"""Run a router: ``python -m services.router --router tcp/127.0.0.1:7447``, and one beside it with ``--peers``.
+"""Run a router: ``python -m services.router --router tcp/127.0.0.1:7447``.
 
-Clients that are told of several (``--router A,B``) go to the first, and to the next within two seconds where that one
-is killed or frozen. Routers that are linked pass on what their clients say: it does not matter who is at which.
+With ``--peers`` several routers are linked and share all messages. Clients with several addresses
+(``--router A,B``) connect to the first, and within two seconds to the next if that router is killed
+or frozen.
 """
 
 from services.kit.bus import Router, addresses, host_and_port
@@ -13,16 +14,18 @@ from services.router.flooding import end_floods, take_log
 
 
 class RouterSettings(FleetSettings):
-    """Listens on ``--router``."""
+    """Settings of a router that listens on ``--router``."""
 
     peers: str | None = None
-    """Addresses of the routers beside it, separated by commas; if its own is one, it links to those before it."""
+    """Addresses of the linked routers, separated by commas; if they include its own, it connects to
+    those before it.
+    """
     insecure: bool = False
-    """Whether it may listen without certificates where other machines reach it."""
+    """Whether it listens without certificates where other machines can connect."""
 
 
 def serve() -> None:
-    """Route until stopped; the status queryable is a client of the router like any other."""
+    """Route until stopped; the status queryable is a client of the router."""
     settings = read_settings(RouterSettings, "router")
     configure_logging(settings.log_level)
     credentials = settings.credentials("router")

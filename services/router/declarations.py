@@ -1,10 +1,11 @@
-"""Disconnect sessions that flood the router with declarations: tokens, queryables, subscribers and keys.
+"""Disconnect sessions that flood the router with declarations.
 
-A declaration takes the longer the more declarations stand: the router compares its key with all others
-(``Resource::get_matches``), and meanwhile it routes no message. Zenoh 1.10.2 has no setting that bounds declarations.
-Its log has an entry for each of them, with the session that made it. This process reads the router's log, counts the
-entries of each session, and prints the session that exceeds its allowance; the router then resets its connection. The
-count is a process of its own because a thread of the router waits for it where Zenoh holds a lock.
+Declarations are tokens, queryables, subscribers and keys. The cost of one grows with their number:
+the router compares its key with all others (``Resource::get_matches``), and meanwhile it routes no
+message. Zenoh 1.10.2 has no setting that limits declarations, but logs each of them with its
+session. This process reads the router's log, counts the entries of each session, and prints the
+session that exceeds its allowance; the router then resets its connection. A separate process
+counts, because a thread of the router waits for it while Zenoh holds a lock.
 """
 
 import re
@@ -14,7 +15,8 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-#: The beginning of an entry is Zenoh's own. A key may hold line breaks: the sender can write all that follows.
+#: Zenoh writes the beginning of an entry. A key can contain line breaks: the sender controls the
+#: rest.
 _DECLARATION: Final = re.compile(
     rb"\S+ +DEBUG +\S+ +ThreadId\(\d+\) demux\{zid=\w+ src=\S*?(client|peer|router)/(([0-9a-f]+):\d+)\}.*"
     rb" zenoh::net::routing::dispatcher::(?:face: expr=|resource: Register resource (?P<group>[^/]+/[^/]+/@group/)?)",
@@ -23,31 +25,28 @@ _DECLARATION: Final = re.compile(
 _OWN_LOG: Final = re.compile(
     rb" zenoh::net::(?:primitives::demux|routing::dispatcher::(?:face|resource)): "
 )
-#: Declarations that a session may make at once: 200 for its process, and 100 for each robot that it serves. The largest
-#: session of a stack with one robot makes 100.
+#: Declarations that a session may make at once: 200 for its process, and 100 for each robot that it
+#: serves. The largest session of a stack with one robot makes 100.
 BURST: Final = 200
 BURST_A_ROBOT: Final = 100
-RATE_HZ: Final = (
-    50.0  # Declarations a second afterwards: a session that runs declares something now and then.
-)
-#: Keys of groups (`schemas.topics.group_key`) that a session may make known at once: its token and what it watches, and
-#: a token of each robot. The router passes every token of a group on to each of its instances.
+# Declarations a second afterwards: running sessions declare occasionally.
+RATE_HZ: Final = 50.0
+#: Group keys (`schemas.topics.group_key`) that a session may declare at once: its token, its
+#: subscription, and a token of each robot. The router sends every token of a group to all of its
+#: instances.
 GROUP_BURST: Final = 4
 GROUP_BURST_A_ROBOT: Final = 2
-GROUP_RATE_HZ: Final = (
-    1.0  # Keys of groups a second afterwards: a robot moves to another instance now and then.
-)
-MOST_SESSIONS: Final = (
-    10_000  # Sessions whose declarations are counted at a time, ended ones among them.
-)
-_TAKEN_BACK: Final = (
-    b"expr.mapped=None"  # End of an entry that takes a declaration back by its number.
-)
+# Group keys a second afterwards: robots move between instances occasionally.
+GROUP_RATE_HZ: Final = 1.0
+# Sessions that are counted at a time, including ended sessions.
+MOST_SESSIONS: Final = 10_000
+# End of an entry that withdraws a declaration by its number.
+_TAKEN_BACK: Final = b"expr.mapped=None"
 _ENTRY_BYTES: Final = 1 << 20  # Larger than any entry of the log.
 
 
 class TokenBucket:
-    """A token bucket: ``burst`` declarations at once, then ``rate_hz``; and at most ``burst`` that stand."""
+    """Token bucket: ``burst`` declarations at once, then ``rate_hz``; at most ``burst`` active."""
 
     def __init__(self, burst: int, rate_hz: float, now_s: float) -> None:
         self._burst = burst
@@ -57,7 +56,7 @@ class TokenBucket:
         self._at_s = now_s
 
     def take(self, now_s: float, standing: int) -> bool:
-        """Count a declaration, and how many more stand by it; return whether it is within the allowance."""
+        """Count a declaration and its change of the active number; return whether it is allowed."""
         self._standing = max(0, self._standing + standing)
         regained = self._rate_hz * (now_s - self._at_s)
         self._at_s = now_s
@@ -66,14 +65,15 @@ class TokenBucket:
 
 
 class Declarations:
-    """Count the declarations of every session.
+    """Counts the declarations of every session.
 
     Parameters
     ----------
     robots
-        Number of robots of the fleet, which one session may serve.
+        Number of robots of the fleet, which one session can serve.
     linked
-        Whether other routers pass on what their own sessions declare. Their declarations are not bounded here.
+        Whether other routers pass on the declarations of their sessions, which are not limited
+        here.
     disconnect
         Called with the beginning of a session's id when the session exceeds its allowance.
     """
@@ -83,9 +83,8 @@ class Declarations:
         self._group_burst = GROUP_BURST + GROUP_BURST_A_ROBOT * robots
         self._linked = linked
         self._disconnect = disconnect
-        self._allowances: dict[
-            bytes, tuple[TokenBucket, TokenBucket]
-        ] = {}  # Of all declarations, and of keys of groups.
+        # Of all declarations, and of group keys.
+        self._allowances: dict[bytes, tuple[TokenBucket, TokenBucket]] = {}
 
     def count(self, line: bytes, now_s: float) -> None:
         """Count a line of Zenoh's log if it is about a declaration."""
@@ -96,7 +95,7 @@ class Declarations:
         if mode == b"router" and self._linked:
             return
         if face not in self._allowances:
-            if len(self._allowances) >= MOST_SESSIONS:  # The oldest one has ended.
+            if len(self._allowances) >= MOST_SESSIONS:
                 del self._allowances[next(iter(self._allowances))]
             all_keys = TokenBucket(self._burst, RATE_HZ, now_s)
             self._allowances[face] = all_keys, TokenBucket(self._group_burst, GROUP_RATE_HZ, now_s)
@@ -110,14 +109,14 @@ class Declarations:
 
 
 def _standing(line: bytes) -> int:
-    """Return how many more declarations stand after this one; a new key alone is none."""
+    """Return the change of the number of active declarations; a new key alone changes nothing."""
     if b"::face: expr=" not in line:
         return 0
     return -1 if line.rstrip().endswith(_TAKEN_BACK) else 1
 
 
 def count_log(log: socket.socket, declarations: Declarations) -> None:
-    """Count the entries of the log that are about declarations, and pass all others on, until the router has ended."""
+    """Count the log's declarations and pass on other entries, until the router ends."""
     buffer = bytearray(_ENTRY_BYTES)
     while size := log.recv_into(buffer):
         entry = bytes(memoryview(buffer)[:size])
@@ -129,7 +128,7 @@ def count_log(log: socket.socket, declarations: Declarations) -> None:
 
 
 def print_session(session: str) -> None:
-    """Have the router disconnect a session."""
+    """Print a session for the router to disconnect."""
     sys.stdout.write(f"{session}\n")
     sys.stdout.flush()
 

@@ -1,4 +1,4 @@
-"""The router's side of the bound on declarations: its log goes to `declarations`, and floods end."""
+"""Router's part of the limit on declarations: pass its log to `declarations` and end floods."""
 
 import logging
 import os
@@ -12,7 +12,7 @@ from typing import Final
 
 from services.kit.zenoh_session import start_log
 
-#: Zenoh's log of declarations (of known and of new keys), and of the session that a line belongs to.
+#: Zenoh's log of declarations (for known and new keys), and of the session of a line.
 LOG: Final = ",".join(
     f"zenoh::net::{target}=debug"
     for target in (
@@ -21,20 +21,18 @@ LOG: Final = ",".join(
         "routing::dispatcher::resource",
     )
 )
-_ROOM_BYTES: Final = (
-    1 << 22
-)  # Room for entries that wait to be counted: some thousands, a second of a flood.
-_WAIT_US: Final = (
-    100_000  # Longest wait for room in the log, microseconds: an entry that waits longer is lost.
-)
+_ROOM_BYTES: Final = 1 << 22  # Room for waiting entries: some thousands, a second of a flood.
+# Maximum wait for room in the log, microseconds; after it the entry is lost.
+_WAIT_US: Final = 100_000
 _logger = logging.getLogger("router")
 
 
 def take_log() -> socket.socket:
-    """Have Zenoh log declarations to a socket in place of the standard output; call this before a session is opened.
+    """Redirect Zenoh's log of declarations to a socket; call this before opening a session.
 
-    The socket keeps entries apart, so that no key can pass for an entry about another session. If the socket is full,
-    the thread that handles the declaration waits until the log is read: a flood is not faster than its count.
+    The socket separates entries, so that a key cannot imitate an entry about another session. If
+    the socket is full, the thread that handles the declaration waits until the log is read, which
+    limits a flood to the speed of its count.
 
     Returns
     -------
@@ -42,7 +40,7 @@ def take_log() -> socket.socket:
         The socket to read the log from.
     """
     read, write = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    write.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _ROOM_BYTES)  # The system may grant less.
+    write.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _ROOM_BYTES)  # The system can grant less.
     write.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("@ll", 0, _WAIT_US))
     os.dup2(write.fileno(), 1)
     write.close()
@@ -53,7 +51,7 @@ def take_log() -> socket.socket:
 def end_floods(
     log: socket.socket, robots: int, *, linked: bool, disconnect: Callable[[str], bool]
 ) -> None:
-    """Disconnect every session that declares too much, on a thread of its own."""
+    """Disconnect every session with too many declarations, on a separate thread."""
     command = [sys.executable, "-m", "services.router.declarations", str(robots), str(int(linked))]
 
     def end_each() -> None:
@@ -64,13 +62,13 @@ def end_floods(
                 stdout=subprocess.PIPE,
                 text=True,
                 start_new_session=True,
-            ) as one:
-                for line in one.stdout or ():
+            ) as process:
+                for line in process.stdout or ():
                     session = line.strip()
                     if disconnect(session):
                         _logger.warning("session %s: too many declarations; disconnected", session)
             _logger.error(
-                "the count of declarations ended with status %s; it starts again", one.returncode
+                "the count of declarations ended with status %s; restarting it", process.returncode
             )
 
     threading.Thread(target=end_each, name="floods", daemon=True).start()

@@ -1,1 +1,1 @@
-"""Driving by keyboard: ``keys`` reads what is pressed, ``terminal`` draws, ``session`` has an operator drive."""
+"""Driving by keyboard: ``keys`` parses, ``terminal`` draws, ``session`` connects an operator."""

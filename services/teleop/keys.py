@@ -1,11 +1,14 @@
-"""From the bytes of a terminal to keys; releases by the kitty protocol, https://sw.kovidgoyal.net/kitty."""
+"""Parse keys from a terminal's bytes.
+
+Releases follow the kitty protocol, https://sw.kovidgoyal.net/kitty.
+"""
 
 import re
 from collections.abc import Iterator
 from typing import Final, Literal, NamedTuple
 
-#: What has a terminal tell releases (kitty's flags 1, 2 and 8: unambiguous, event types, all keys) and the loss of its
-#: focus; what takes that back; what asks whether it does, and the answer.
+#: Control sequences: enable reports of releases (kitty's flags 1, 2 and 8: unambiguous, event types,
+#: all keys) and of the focus; disable them; query the support, and its answer.
 TELL_RELEASES: Final = "\x1b[>11u\x1b[?1004h"
 TELL_NO_RELEASES: Final = "\x1b[?1004l\x1b[<u"
 ASK_RELEASES: Final = "\x1b[?u"
@@ -23,14 +26,14 @@ Key = Literal[
     "found",
     "quit",
 ]
-#: What a terminal tells besides: that it tells releases, and that its keys go to another window now.
+#: Other reports of a terminal: that it supports releases, and that it has lost the focus.
 News = Literal["tells_releases", "focus_lost"]
 _LETTERS: Final[dict[str, Key]] = {
     "w": "forward", "s": "backward", "a": "left", "d": "right", " ": "stop", "e": "emergency_stop",
     "n": "new_episode", "r": "resume", "f": "found", "q": "quit",
 }  # fmt: skip
 _ARROWS: Final[dict[str, Key]] = {"A": "forward", "B": "backward", "D": "left", "C": "right"}
-#: Arrows of the number pad have numbers of their own where all keys are told.
+#: With all keys reported, arrows of the number pad have their own codes.
 _PAD: Final[dict[int, Key]] = {57419: "forward", 57420: "backward", 57417: "left", 57418: "right"}
 _CTRL_C: Final = 3
 _KEYS: Final[dict[int, Key]] = {
@@ -38,19 +41,19 @@ _KEYS: Final[dict[int, Key]] = {
     **_PAD,
     _CTRL_C: "quit",
 }
-_EVENT_TYPES: Final = 2  # Of kitty's flags: whether presses, repeats and releases are told apart.
-_CTRL: Final = (
-    4  # Of kitty's modifiers: all but shift, caps lock and num lock make another key of a letter.
-)
+_EVENT_TYPES: Final = 2  # One of kitty's flags: separate presses, repeats and releases.
+# One of kitty's modifiers: all but shift, caps lock and num lock change the meaning of a letter.
+_CTRL: Final = 4
 _SHORTCUT: Final = ~(1 | 64 | 128)
 _RELEASED: Final = "3"
-#: An escape sequence, the beginning of one at the end of the input, or any other byte. Sequences end in any letter (End
-#: sends ``CSI F``, F2 ``SS3 Q``), but for e: an emergency stop is heard also after half a one.
+#: An escape sequence, the beginning of one at the end of the input, or any other byte. Sequences end
+#: in any letter (End sends ``CSI F``, F2 ``SS3 Q``) except e: an emergency stop also counts after a
+#: partial sequence.
 _TOKEN: Final = re.compile(
     rb"\x1b[\[O]([<-?]?[0-9;:]*)([A-DF-Za-df-z~])|(\x1b(?:[\[O][<-?]?[0-9;:]*)?\Z)|([\x00-\xff])",
     re.DOTALL,
 )
-#: ``code : other codes ; modifiers : event ; text``; all may be left out.
+#: ``code : other codes ; modifiers : event ; text``; all parts are optional.
 _NUMBERS: Final = re.compile(
     r"([0-9]{0,7})(?::[0-9:]*)?(?:;([0-9]{0,3})(?::([0-9]))?(?:;[0-9:]*)?)?"
 )
@@ -59,20 +62,20 @@ _LONGEST_SEQUENCE: Final = 24
 
 
 class KeyEvent(NamedTuple):
-    """What happened at the keyboard: a press or a repeat, or a release where the terminal tells it."""
+    """Event at the keyboard: a press or repeat, or a release if the terminal reports releases."""
 
     key: Key | News
     released: bool = False
 
 
 class KeyParser:
-    """Finds the keys in what a terminal sends; an escape sequence may come in pieces."""
+    """Parses a terminal's input, with escape sequences that can arrive in pieces."""
 
     def __init__(self) -> None:
         self._begun = b""
 
     def feed(self, data: bytes) -> Iterator[KeyEvent]:
-        """Yield what happened to the keys in ``data``; unknown ones are passed over."""
+        """Yield the events of the keys in ``data``; unknown keys are ignored."""
         data = self._begun + data
         self._begun = b""
         for match in _TOKEN.finditer(data):
@@ -89,7 +92,7 @@ class KeyParser:
 
 
 def _event(numbers: str, final: str) -> KeyEvent | None:
-    """Read ``CSI ? flags u``, ``CSI O``, ``CSI code ; modifiers : event u`` or ``CSI 1 ; modifiers : event ABCD``."""
+    """Parse ``CSI ? flags u``, ``CSI O`` or ``CSI code ; modifiers : event`` with u or A to D."""
     flags = _FLAGS.fullmatch(numbers)
     if flags is not None:
         return KeyEvent("tells_releases") if final == "u" and int(flags[1]) & _EVENT_TYPES else None
@@ -107,7 +110,7 @@ def _event(numbers: str, final: str) -> KeyEvent | None:
 
 def _letter(code: int, modifiers: int, released: bool) -> KeyEvent | None:
     key = _KEYS.get(code)
-    # A release counts whatever is held down by then, and so does whatever makes the robot stand.
+    # Releases and stops count with any modifiers.
     if modifiers & _SHORTCUT and not released and key not in ("stop", "emergency_stop"):
         # Such a terminal sends Ctrl-C as a key.
         key = "quit" if modifiers & _CTRL and code in (ord("c"), ord("C")) else None

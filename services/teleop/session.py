@@ -1,4 +1,4 @@
-"""One session at the keyboard: the terminal on one side, the operator's part of the bus on the other."""
+"""Session at the keyboard, which connects a terminal to an operator on the bus."""
 
 import secrets
 import time
@@ -24,40 +24,42 @@ HELP: Final = (
     "r: arm, resume   q: quit"
 )
 NO_RELEASES: Final = (
-    "this terminal does not tell when you let go of a key (kitty, foot, ghostty, WezTerm and others do): the robot "
-    "goes on for up to {:g} s after a tap; space stops it at once"
+    "this terminal does not report the release of a key (kitty, foot, ghostty, WezTerm and others "
+    "do): the robot continues for up to {:g} s after a tap; space stops it at once"
 )
-TELLS_S: Final = 1.0  # How long a terminal may take to say that it tells releases.
-DISK_S: Final = 5.0  # How often the recorder is asked how much room its disk has, and how long it may take to answer.
+TELLS_S: Final = 1.0  # Timeout for a terminal's answer that it supports releases.
+DISK_S: Final = 5.0  # Period of the query for the recorder's disk, and timeout of its answer.
 _DISK_ANSWER_S: Final = 1.0
-#: Keyboards begin to repeat 0.25 to 0.6 s after the press, and then do every 0.03 to 0.1 s.
+#: Keyboards begin to repeat 0.25 to 0.6 s after the press, and then repeat every 0.03 to 0.1 s.
 FIRST_HOLD_S: Final = 0.6
 REPEAT_HOLD_S: Final = 0.15
 _CAUSES: Final[dict[StopCause | None, str]] = {
     None: "armed",
     "not_armed": "not armed",
     "emergency_stop": "emergency stop",
-    "operator_lost": "it had lost you; r resumes",
-    "wheels": "its odometry contradicts the commands; look at the wheels, r resumes",
+    "operator_lost": "operator lost; r resumes",
+    "wheels": "odometry contradicts the commands; inspect the wheels, r resumes",
     "fault": "its body has failed",
 }
 
 
 class TeleopSettings(ServiceSettings):
-    """Which episodes to drive, and how the keyboard repeats."""
+    """Settings of the episodes, and of the keyboard's repeat."""
 
     seed: Annotated[int | None, Field(ge=0, lt=2**63 - 1_000_000)] = None
-    """Seed of the first episode, the next ones count up; drawn at random if not given."""
+    """Seed of the first episode, the next ones count up; random by default."""
     goal: GoalName = "victim"
     """Name of the place that the drives lead to."""
     first_hold_s: Annotated[float, Field(gt=0, le=2)] = FIRST_HOLD_S
-    """How long the first press of a key counts as held; at least the keyboard's delay before it repeats."""
+    """Time for which the first press of a key counts as held; at least the keyboard's delay before
+    it repeats.
+    """
     repeat_hold_s: Annotated[float, Field(gt=0, le=2)] = REPEAT_HOLD_S
-    """How long each repeat counts as held; at least the keyboard's interval between two."""
+    """Time for which each repeat counts as held; at least the keyboard's interval between two."""
 
 
 def run(settings: TeleopSettings) -> None:
-    """Drive until the operator quits or the process is told to stop."""
+    """Drive until the operator quits or the process is stopped."""
     with Node("teleop", settings, CONNECT_S) as node:
         node.stop_on_signals()
         with open_terminal() as terminal:
@@ -70,7 +72,7 @@ def run(settings: TeleopSettings) -> None:
 
 
 class TeleopSession:
-    """Wires keys and status line of a terminal to an operator; everything happens on the node's thread."""
+    """Connects keys and status line of a terminal to an operator, on the node's thread."""
 
     def __init__(self, node: Node, terminal: Terminal, settings: TeleopSettings) -> None:
         self._node = node
@@ -90,7 +92,7 @@ class TeleopSession:
         node.every(POLL_S, self.poll)
 
     def poll(self) -> None:
-        """Read the keys, notice releases and answers, and draw the status line."""
+        """Read the keys, handle releases and answers, and draw the status line."""
         typed = self._terminal.read()
         if typed is None:
             self._node.stop()
@@ -105,7 +107,7 @@ class TeleopSession:
         )
 
     def finish(self) -> None:
-        """Stop the robot, end the episode that was begun here, so that its recording is complete, and say good-bye."""
+        """Stop the robot, end the own episode for a complete recording, and send a farewell."""
         self._operator.hold(None)
         self._leaving = True
         if self._operator.asking:
@@ -116,7 +118,7 @@ class TeleopSession:
         self._operator.beat(present=False)
 
     def _wait(self, timeout_s: float) -> None:
-        """Wait for an answer. The operator is still there: they are not missed, and an emergency stop is heard."""
+        """Wait for an answer while the operator stays present and can still stop the robot."""
         until_s = time.monotonic() + timeout_s
         while self._operator.asking and time.monotonic() < until_s:
             self._node.drain()
@@ -140,8 +142,9 @@ class TeleopSession:
     def _press(self, key: Key | News) -> None:
         operator = self._operator
         if key in ATOMS:
-            # Most terminals do not tell when a key is let go: it counts as held until its next repeat is overdue. Those
-            # that do repeat the last one of several that are held, which add up.
+            # Without release reports a key counts as held until its next repeat is overdue.
+            # Terminals with release reports repeat only the last of several held keys, which add
+            # up.
             held = self._held if operator.commands.held is not None else set[Atom]()
             hold_s = self._repeat_hold_s if key in held else self._first_hold_s
             self._held_until_s = time.monotonic() + hold_s
@@ -175,20 +178,20 @@ class TeleopSession:
             self._terminal.say(f"new episode, seed {request.seed} ...")
 
     def _tell_of_disk(self) -> None:
-        """Tell how much room the recorder has; on a thread of its own, since what moves the robot must not wait."""
+        """Print the space on the recorder's disk; on a separate thread, since motion must not wait."""
         try:
             told = self._node.bus.call(
                 "recorder", "status", Nothing(), Status, _DISK_ANSWER_S
             ).detail.get("disk")
         except JobError:
-            told = None  # there is none
+            told = None
         if told not in (None, self._disk):
             self._terminal.say(f"RECORDING: {printable(str(told))}")
         self._disk = None if told is None else str(told)
 
 
 def status_line(robot: Report, held: Velocity | None, now_s: float) -> str:
-    """Return what a person at a terminal is told of the robot, with the keys that they hold."""
+    """Return the status line of a robot, with the held keys."""
     if robot.waiting:
         episode = "waiting for the robot; a simulator's first picture takes a while"
     elif robot.episode is None:
@@ -201,7 +204,7 @@ def status_line(robot: Report, held: Velocity | None, now_s: float) -> str:
         episode = (
             "a person drives"
             if robot.driver == "teleop"
-            else f"{robot.driver or 'somebody'} drives"
+            else f"driver: {robot.driver or 'unknown'}"
         )
     keys = "-" if held is None else "+".join(held.keys) or "stop"
     parts = ["EMERGENCY STOP"] if robot.emergency else []
@@ -212,16 +215,16 @@ def _robot(robot: Report, now_s: float) -> list[str]:
     if robot.episode is None:
         return [f"robot: {_CAUSES[robot.cause] if robot.answers else '-'}"]
     if now_s - robot.at > SILENCE_S:
-        return [f"NO SIGN OF THE ROBOT for {now_s - robot.at:.0f} s"]
+        return [f"NO REPORT OF THE ROBOT for {now_s - robot.at:.0f} s"]
     reasons = {
         "command": "by hand" if robot.source == "teleop" else f"by {robot.source}",
-        "obstacle": "something is in the way, or not known to be free; let go and hold again: go on slowly",
+        "obstacle": "obstacle or unknown ground ahead; release and hold again to continue slowly",
         "no_depth": "the depth camera shows no ground, is frozen, or is too late",
         "insisted": "slowly, since you insist",
-        "radius": "a car turns while it drives, no more sharply than it can",
-        "silence": "nobody drives",
+        "radius": "a car turns only while it drives, at its minimum radius",
+        "silence": "no driver",
         "taken_over": "you have taken over; r resumes",
-        "deaf": "its link to the router carries nothing; it stands until that works",
+        "deaf": "no echo from the router; it stands until the link works",
         "emergency_stop": _CAUSES[robot.cause],
     }
     doing = f"{robot.atom or '-'} ({reasons.get(robot.reason or '', '-')})"

@@ -1,4 +1,4 @@
-"""The operator's terminal: keys as they are pressed, and a status line below what has happened."""
+"""The operator's terminal: immediate keys, and a status line below the log."""
 
 import logging
 import os
@@ -20,18 +20,18 @@ from services.teleop.keys import ASK_RELEASES, RELEASES_ANSWER, TELL_NO_RELEASES
 _ERASE_LINE: Final = "\r\x1b[K"
 _INPUT_FLAGS: Final = 0
 _LOCAL_FLAGS: Final = 3
-_LINES_KEPT: Final = 200  # Lines kept for a screen that takes none for a while.
-#: How long the last lines may take to be drawn; a screen that stands still must not keep the process.
+_LINES_KEPT: Final = 200  # Lines kept while a screen does not accept output.
+#: Time limit to draw the last lines; a frozen screen must not keep the process.
 _LAST_LINES_S: Final = 1.0
-_ANSWER_S: Final = (
-    1.0  # How long it may take to say that it has understood; a second is a slow link.
-)
+# Timeout of its last answer; a second is a slow link.
+_ANSWER_S: Final = 1.0
 
 
 class Terminal:
     """Standard input and output of this process, which must be a terminal; see ``open_terminal``.
 
-    A thread of its own draws: a screen that takes nothing (a slow link) holds up neither keys nor heartbeats.
+    A separate thread draws, so that a screen that blocks (a slow link) delays neither keys nor
+    heartbeats.
     """
 
     def __init__(self) -> None:
@@ -41,12 +41,12 @@ class Terminal:
         self._lines: deque[str] = deque(maxlen=_LINES_KEPT)
         self._status = self._drawn = ""
         self._closed = False
-        self.tells_releases = False  # Whether the terminal has said that it tells releases.
+        self.tells_releases = False  # Whether the terminal reports releases.
         self._drawer = threading.Thread(target=self._draw, name="screen", daemon=True)
         self._drawer.start()
 
     def read(self, wait_s: float = 0.0) -> bytes | None:
-        """Return what was typed since the last call, perhaps nothing; None when the terminal is gone."""
+        """Return the input since the last call, possibly empty; None when the terminal is gone."""
         try:
             if not select.select([self._input], [], [], wait_s)[0]:
                 return b""
@@ -69,15 +69,15 @@ class Terminal:
                 self._changed.notify()
 
     def write(self, text: str) -> None:
-        """Write as it is, and wait until the terminal has taken it."""
+        """Write text unchanged, and wait until the terminal has accepted it."""
         data = text.encode(errors="replace")
-        # Where the window was closed, ``read`` says so, and the robot is stopped in good order.
+        # If the window was closed, ``read`` reports it, and the robot is stopped in an orderly way.
         with suppress(OSError):
             while data:
                 data = data[os.write(self._output, data) :]
 
     def close(self) -> None:
-        """Draw what was said, and have the terminal send keys as it does for other programs."""
+        """Draw the remaining lines, and restore the terminal's key mode."""
         with self._changed:
             self._closed = True
             self._changed.notify()
@@ -89,7 +89,7 @@ class Terminal:
             self._read_the_rest()
 
     def _read_the_rest(self) -> None:
-        """Read what the terminal sends before it has understood: the shell would take a release for a text."""
+        """Read input until the key mode is restored: the shell would take a release for text."""
         self.write(ASK_RELEASES)
         rest = b""
         until_s = time.monotonic() + _ANSWER_S
@@ -114,7 +114,7 @@ class Terminal:
 
 
 class TerminalLog(logging.Handler):
-    """Puts warnings above the status line rather than into it."""
+    """Log handler that prints warnings above the status line."""
 
     def __init__(self, terminal: Terminal) -> None:
         super().__init__(logging.WARNING)
@@ -135,7 +135,7 @@ def require_terminal() -> None:
 
 @contextmanager
 def open_terminal() -> Iterator[Terminal]:
-    """Read keys as they are pressed, until the context is left; UsageError when the input is no terminal."""
+    """Open the terminal for immediate keys; UsageError if the input is not a terminal."""
     require_terminal()
     before = termios.tcgetattr(sys.stdin)
     terminal = Terminal()
@@ -143,8 +143,8 @@ def open_terminal() -> Iterator[Terminal]:
     try:
         tty.setcbreak(sys.stdin, termios.TCSANOW)
         mode = termios.tcgetattr(sys.stdin)
-        # Every key is a key. A driver that Ctrl-Z puts to sleep could not stop the robot, one that Ctrl-\ kills would
-        # not restore the terminal, and Ctrl-S would freeze the screen.
+        # Signals by keys are disabled: with Ctrl-Z a sleeping driver cannot stop the robot, Ctrl-\
+        # leaves the terminal unrestored, and Ctrl-S freezes the screen.
         mode[_LOCAL_FLAGS] &= ~termios.ISIG
         mode[_INPUT_FLAGS] &= ~termios.IXON
         termios.tcsetattr(sys.stdin, termios.TCSANOW, mode)
@@ -154,9 +154,9 @@ def open_terminal() -> Iterator[Terminal]:
     finally:
         logging.getLogger().removeHandler(log)
         terminal.close()
-        # A terminal that is gone has no mode.
+        # A closed terminal has no mode.
         with suppress(termios.error):
-            # Not TCSAFLUSH, which waits for a screen that may take nothing.
+            # Not TCSAFLUSH, which waits for a screen that might not accept output.
             termios.tcsetattr(sys.stdin, termios.TCSANOW, before)
-            # Keys that nobody read must not become the shell's next command.
+            # Unread keys must not become the shell's next command.
             termios.tcflush(sys.stdin, termios.TCIFLUSH)

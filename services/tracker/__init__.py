@@ -1,1 +1,1 @@
-"""Overhead image in, the robot's true pose out."""
+"""Ground truth: overhead images in, the robot's pose out."""

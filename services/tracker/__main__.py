@@ -8,7 +8,7 @@ from services.tracker.tag_tracking import Tag
 
 
 def serve(node: Node, settings: TrackerSettings) -> None:
-    """Turn overhead images into tracked poses until stopped."""
+    """Publish tracked poses of overhead images until stopped."""
     tracker = TrackerService(Tag(settings.tag_number, settings.tag_side_m, settings.tag_height_m))
     node.detail = tracker.detail
     node.subscribe(topics.OVERHEAD, tracker.handle)

@@ -1,4 +1,4 @@
-"""One overhead image in, one tracked pose out."""
+"""Tracker service: measures one pose per overhead image."""
 
 import logging
 from typing import Annotated
@@ -16,7 +16,7 @@ _log = logging.getLogger("tracker")
 
 
 class TrackerSettings(FleetSettings):
-    """Which tag lies on the robot, and how; the defaults are the TurtleBot's."""
+    """Tag on the robot; the defaults are the TurtleBot's."""
 
     tag_number: Annotated[int, Field(ge=0, le=49)] = 7
     """Number of the ArUco marker in DICT_4X4_50."""
@@ -27,7 +27,7 @@ class TrackerSettings(FleetSettings):
 
 
 class TrackerService:
-    """Measures where the robot is, by the tag that lies on it, from the overhead image alone."""
+    """Measures the robot's pose by the tag on it, from overhead images alone."""
 
     def __init__(self, tag: Tag) -> None:
         self._tag = tag
@@ -36,7 +36,10 @@ class TrackerService:
         self._lost = 0
 
     def handle(self, image: OverheadImage) -> TrackedPose:
-        """Return the pose at one frame, or that the tag is not seen; ServiceError for a bad image or calibration."""
+        """Return the pose at one frame; ServiceError for an invalid image or calibration.
+
+        If the tag is not detected, the pose is unknown and `visible` is false.
+        """
         try:
             pose = locate(self._tag, decode_jpeg(image.data), image.calibration)
         except ValueError as error:
@@ -51,10 +54,12 @@ class TrackerService:
             return TrackedPose.after(image, visible=False)
         self._seen += 1
         if not self._visible:
-            _log.info("the tag is seen again at frame %d of episode %s", image.tick, image.episode)
+            _log.info(
+                "the tag is visible again at frame %d of episode %s", image.tick, image.episode
+            )
         self._visible = True
         return TrackedPose.after(image, visible=True, **pose._asdict())
 
     def detail(self) -> Detail:
-        """Tell the tag's number, and in how many frames it was seen and not seen."""
+        """Return the tag's number, and the numbers of frames with and without it."""
         return {"tag": self._tag.number, "seen": self._seen, "lost": self._lost}

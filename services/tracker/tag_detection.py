@@ -7,21 +7,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_CELLS: Final = (
-    6  # Cells along a marker's side in DICT_4X4_50: four of code between two of black border.
-)
-#: How far from where an edge is thought to be it is looked for. Further out, the next cell's edge comes in.
+# Cells along a marker's side in DICT_4X4_50: four of code between two of black border.
+_CELLS: Final = 6
+#: Search distance around the expected edge; beyond it, the edge of the next cell interferes.
 _REACH_CELLS: Final = 0.5
-_MARGIN: Final = 0.12  # The ends of an edge are left out: blur rounds the corners.
+_MARGIN: Final = 0.12  # Excluded share at the ends of an edge: blur rounds the corners.
 _PROFILES: Final = 24
 _SAMPLES: Final = 13
-_ROUNDS: Final = 3  # OpenCV's corners are about a pixel off. Each round leaves a tenth of that.
+# OpenCV's corners are about a pixel off. Each round reduces the error to a tenth.
+_ROUNDS: Final = 3
 
 
 @cache
 def _detector() -> cv2.aruco.ArucoDetector:
     parameters = cv2.aruco.DetectorParameters()
-    # Of cells only 3 pixels wide, the blurred rims would drown the code with OpenCV's 4 pixels and 0.13.
+    # For cells only 3 pixels wide, blurred rims hide the code with OpenCV's defaults of 4 pixels
+    # and 0.13.
     parameters.perspectiveRemovePixelPerCell = 8
     parameters.perspectiveRemoveIgnoredMarginPerCell = 0.25
     return cv2.aruco.ArucoDetector(
@@ -30,17 +31,17 @@ def _detector() -> cv2.aruco.ArucoDetector:
 
 
 def find_markers(image: NDArray[np.uint8], number: int) -> list[NDArray[np.float64]]:
-    """Return the corners (4, 2) of each marker of ``DICT_4X4_50`` of one number in an RGB image, clockwise, pixels.
+    """Return the corners (4, 2) of each marker with a number in an RGB image, clockwise, pixels.
 
-    The first is the marker's own upper left; the first pixel's centre is at 0.5. OpenCV fits each corner by itself,
-    which at 30 pixels a side errs by up to 2.6 pixels where the margin is narrow; here corners are where lines along
-    sides meet.
+    The first corner is the marker's own upper left; the first pixel's centre is at 0.5. OpenCV fits
+    each corner separately, which at 30 pixels a side and a narrow margin errs by up to 2.6 pixels.
+    Here corners are the intersections of lines along the sides.
     """
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     quads, numbers, _ = _detector().detectMarkers(grey)
-    if not quads:  # then `numbers` is None
+    if not quads:
         return []
-    # OpenCV counts from the centre of the first pixel.
+    # OpenCV's origin is the centre of the first pixel.
     found = [
         quad[0].astype(np.float64)
         for quad, one in zip(quads, numbers.ravel(), strict=True)
@@ -54,7 +55,7 @@ def find_markers(image: NDArray[np.uint8], number: int) -> list[NDArray[np.float
 def _sides(
     grey: cv2.typing.MatLike, corners: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit a straight line to the step from black to white along each side: its starts (4, 2), and its ends."""
+    """Fit a line to the outer edge of each side; return its starts and ends (4, 2)."""
     along = np.roll(corners, -1, axis=0) - corners
     lengths = np.hypot(along[:, 0], along[:, 1])
     outward = np.column_stack([along[:, 1], -along[:, 0]]) / lengths[:, np.newaxis]
@@ -65,7 +66,7 @@ def _sides(
     points = feet[:, :, np.newaxis] + offsets[:, np.newaxis] * outward[:, np.newaxis, np.newaxis]
     right, down = np.moveaxis(points.reshape(4 * _PROFILES, _SAMPLES, 2).astype(np.float32), 2, 0)
     profiles = cv2.remap(grey, right, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    # Falls of brightness belong to what lies beyond the white margin.
+    # Falling brightness belongs to objects beyond the white margin.
     rises = np.maximum(0.0, np.diff(profiles.reshape(4, _PROFILES, _SAMPLES).astype(np.float64)))
     middles = (offsets[1:] + offsets[:-1]) / 2
     steps = rises @ middles / np.maximum(rises.sum(axis=2), 1e-9)
@@ -75,8 +76,9 @@ def _sides(
 
 
 def _meeting(starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return where each side (4, 2) meets the one before it."""
-    # As complex numbers, of which the cross product is the imaginary part of one times the other's conjugate.
+    """Return the intersection of each side (4, 2) with the side before it."""
+    # With complex numbers the cross product is the imaginary part of one times the other's
+    # conjugate.
     start = starts @ (1.0, 1j)
     along = (ends - starts) @ (1.0, 1j)
     before = np.roll(start, 1)

@@ -1,7 +1,7 @@
-"""Ground truth as in the paper's indoor experiment: the robot's pose from a tag on it, seen by a camera overhead.
+"""Ground truth as in the paper's indoor experiment: the pose of a tag from an overhead camera.
 
-The tag lies flat at a known height and the camera looks straight down, so that the image is a map to scale of the
-tag's plane, and the pose is planar: where the tag is, and where it looks.
+The tag lies flat at a known height and the camera looks straight down. Therefore the image is a
+scaled map of the tag's plane, and the pose is planar.
 """
 
 import math
@@ -14,20 +14,20 @@ from numpy.typing import NDArray
 from schemas.camera import Calibration
 from services.tracker.tag_detection import find_markers
 
-#: Root mean square error of the corners, as a share of the side, beyond which a tag is not believed: what it is when
-#: a single corner is so far off that it turns the heading by 2 degrees.
+#: Maximum root mean square error of the corners, as a share of the side: the error when a single
+#: corner is so far off that it turns the heading by 2 degrees.
 MAX_ERROR: Final = 0.035
-#: How much larger or smaller than it is a tag may look before its size, and not its shape, is what is wrong.
+#: Relative deviation from the tag's size beyond which the size is wrong, rather than the shape.
 MAX_SIDE_DEVIATION: Final = 0.1
 
 
-class TagNotSeen(Exception):  # noqa: N818 - what happened, and no error
-    """The pose is unknown; the message says why in one line."""
+class TagNotSeen(Exception):  # noqa: N818 - an event rather than an error
+    """The pose is unknown; the text gives the reason in one line."""
 
 
 @dataclass(frozen=True)
 class Tag:
-    """A square ArUco marker of ``DICT_4X4_50`` flat on the robot, upper edge ahead; side and height in metres."""
+    """Square ArUco marker of ``DICT_4X4_50``, flat on the robot with its upper edge ahead."""
 
     number: int
     side_m: float
@@ -35,20 +35,27 @@ class Tag:
 
 
 class TagPose(NamedTuple):
-    """Where the tag is: metres east and north, heading in radians counter-clockwise from east, in [-pi, pi]."""
+    """Pose of the tag: metres east and north, heading in radians counter-clockwise from east.
+
+    The heading is in [-pi, pi].
+    """
 
     x_m: float
     y_m: float
     heading_rad: float
-    error_px: (
-        float  # Root mean square distance of the tag's corners from where this pose puts them.
-    )
+    # Root mean square reprojection error of the tag's corners.
+    error_px: float
 
 
 def locate(tag: Tag, image: NDArray[np.uint8], camera: Calibration) -> TagPose:
-    """Return the pose of a tag in an RGB image (height, width, 3); ValueError where the camera is not above it.
+    """Return the pose of a tag in an RGB image (height, width, 3).
 
-    TagNotSeen where there is none, more than one, or what was found is not a square of its size.
+    Raises
+    ------
+    ValueError
+        If the camera is not above the tag.
+    TagNotSeen
+        If the tag is missing, not unique, or not a square of its size.
     """
     if camera.height_m <= tag.height_m:
         above = f"a camera {camera.height_m:g} m above the floor"
@@ -61,17 +68,17 @@ def locate(tag: Tag, image: NDArray[np.uint8], camera: Calibration) -> TagPose:
     side_m = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
     if abs(side_m - tag.side_m) > MAX_SIDE_DEVIATION * tag.side_m:
         raise TagNotSeen(
-            f"marker {tag.number} measures {side_m:.3f} m and not {tag.side_m:g} m: "
-            "another tag, another height, or a wrong calibration"
+            f"marker {tag.number} measures {side_m:.3f} m instead of {tag.side_m:g} m; "
+            "check the tag, its height and the calibration"
         )
     x_m, y_m, heading_rad, error_m = fit_square(corners, tag.side_m)
     error_px = error_m / metres_per_px
     most_px = MAX_ERROR * tag.side_m / metres_per_px
-    # Not `>`: the error of corners that could not be computed is no number.
+    # Not `>`: the error is NaN if the corners could not be computed.
     if not error_px <= most_px:
         raise TagNotSeen(
-            f"marker {tag.number} is no square of {tag.side_m:g} m: "
-            f"its corners are {error_px:.2f} px off, and {most_px:.2f} px is the limit"
+            f"marker {tag.number} is not a square of {tag.side_m:g} m: "
+            f"corner error too large ({error_px:.2f} px > maximum {most_px:.2f} px)"
         )
     return TagPose(x_m, y_m, heading_rad, error_px)
 
@@ -79,7 +86,7 @@ def locate(tag: Tag, image: NDArray[np.uint8], camera: Calibration) -> TagPose:
 def _onto_plane(
     pixels: NDArray[np.float64], camera: Calibration, metres_per_px: float
 ) -> NDArray[np.float64]:
-    """Return the points (n, 2), metres east and north, at which pixels (n, 2) see a horizontal plane of a scale."""
+    """Project pixels (n, 2) onto a horizontal plane of a scale: metres east and north."""
     right, down = ((pixels - (camera.centre_x_px, camera.centre_y_px)) * metres_per_px).T
     cos = math.cos(camera.up_rad)
     sin = math.sin(camera.up_rad)
@@ -89,14 +96,25 @@ def _onto_plane(
 
 
 def fit_square(corners: NDArray[np.float64], side: float) -> tuple[float, float, float, float]:
-    """Fit a square of known side to four points: the rotation and shift of least squares, in closed form (Kabsch).
+    """Fit a square of known side to four points by least squares, in closed form (Kabsch).
 
-    The corners (4, 2) are seen from above, clockwise from the one ahead on the left. Returns x and y of the square's
-    middle, its direction in [-pi, pi], and the root mean square distance of the corners from its own.
+    Parameters
+    ----------
+    corners
+        Points (4, 2), seen from above, clockwise from the one ahead on the left.
+    side
+        Side of the square, in the same unit.
+
+    Returns
+    -------
+    tuple of float
+        x and y of the square's centre, its direction in [-pi, pi], and the root mean square
+        distance of the corners.
     """
     ahead_left = side / 2 * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
     middle = corners.mean(axis=0)
-    # As complex numbers: rotating is multiplying, and the best rotation is the direction of the correlation.
+    # With complex numbers a rotation is a product, and the best rotation is the direction of the
+    # correlation.
     model = ahead_left @ (1.0, 1j)
     measured = (corners - middle) @ (1.0, 1j)
     turn = np.vdot(model, measured)

@@ -20,10 +20,13 @@ BENCHMARKS: Final = {
 
 def run(arguments: list[str]) -> int:
     """Run the benchmark that the first argument names; return the exit status."""
-    name = arguments[0] if arguments else ""
+    name = arguments[0] if arguments else "--help"
+    if name == "--help":
+        sys.stdout.write(f"{__doc__}\nBenchmarks: {', '.join(BENCHMARKS)}\n")
+        return 0
     try:
         if name not in BENCHMARKS:
-            raise UsageError(f"no benchmark {name!r}; known are: {', '.join(BENCHMARKS)}")
+            raise UsageError(f"benchmark {name!r} not found; use one of {', '.join(BENCHMARKS)}")
         with interrupted_by_signals():
             module = importlib.import_module(f"tests.benchmarks.{BENCHMARKS[name]}")
             module.main(arguments[1:])

@@ -53,11 +53,11 @@ def test_robot_stands_when_a_required_topic_is_silent(rig: Rig, silent: str, top
 def test_button_that_reports_changes_must_have_reported_once(tmp_path: Path) -> None:
     rig = Rig(tmp_path, stops=", {topic: button, type: std_msgs/msg/Bool, silence_s: null}")
     rig.known()
-    with pytest.raises(ServiceError, match=r"^base: nothing has come from /button; does"):
+    with pytest.raises(ServiceError, match=r"^base: no message received from /button; does"):
         rig.body.begin(BEGIN)
     assert not rig.may_go("forward")
     rig.says("/button", data=True)
-    with pytest.raises(ServiceError, match="it is told not to move"):
+    with pytest.raises(ServiceError, match="its stop topic is true"):
         rig.body.drive(KEYS["forward"])
     rig.says("/button", data=False)
     assert rig.may_go("forward")
@@ -69,10 +69,10 @@ def test_button_that_reports_changes_must_have_reported_once(tmp_path: Path) -> 
 
 
 def test_base_is_ordered_to_stand_when_it_is_unreachable(rig: Rig) -> None:
-    rig.begun().air.lack = "nobody subscribes to /cmd_vel"
+    rig.begun().air.lack = "/cmd_vel has no subscriber"
     assert not rig.may_go("forward")
     with pytest.raises(
-        ServiceError, match=r"^base: nobody subscribes to /cmd_vel; does tcp/\S+ reach it"
+        ServiceError, match=r"^base: /cmd_vel has no subscriber; does tcp/\S+ reach it"
     ):
         rig.body.begin(BEGIN)
 
@@ -87,7 +87,7 @@ def test_why_it_stands_is_logged_once_and_when_that_is_over(
         rig.body.look(1)
     assert [record.getMessage() for record in caplog.records] == [
         "base stands: no connection to tcp/robot:7447",
-        "base: what it needs is heard again",
+        "base: required topics are back",
     ]
 
 
@@ -126,7 +126,7 @@ def test_hazards_forbid_motions_that_worsen_them(
     assert rig.body.look(1).contact == touched
     if "forward" not in allowed:
         with pytest.raises(
-            ServiceError, match=r"must not go forward: .* it stands until it is armed again"
+            ServiceError, match=r"must not move forward: .* it stands until it is armed"
         ):
             rig.body.drive(KEYS["forward"])
         assert rig.air.sent[-1] == (0.0, 0.0)
@@ -239,11 +239,11 @@ def test_reads_raw_pixels(encoding: str) -> None:
 @pytest.mark.parametrize(
     ("fields", "line"),
     [
-        ({"encoding": "bayer_rggb8"}, "encoding 'bayer_rggb8': known are rgb8"),
+        ({"encoding": "bayer_rggb8"}, "unsupported encoding 'bayer_rggb8'; supported are rgb8"),
         ({"height": 4096}, "pixels in 9216 bytes"),
         ({"width": 0}, "0x48 pixels"),
-        ({"step": 3}, "3 a row"),
-        ({"width": 2**31, "height": 2**31}, "that cannot be"),
+        ({"step": 3}, "3 per row"),
+        ({"width": 2**31, "height": 2**31}, "invalid image"),
     ],
 )
 def test_raw_pixels_that_cannot_be_are_one_line(fields: dict[str, Any], line: str) -> None:
@@ -260,20 +260,20 @@ def test_raw_pixels_that_cannot_be_are_one_line(fields: dict[str, Any], line: st
 
 def test_body_names_the_missing_topic_when_it_begins(rig: Rig) -> None:
     with pytest.raises(
-        ServiceError, match=r"no picture has come from /camera/\S+; does tcp/.* fit\?$"
+        ServiceError, match=r"no image received from /camera/\S+; does tcp/.* fit\?$"
     ):
         rig.body.begin(BEGIN)
     rig.picture()
-    with pytest.raises(ServiceError, match=r"nothing has come from /odom; does"):
+    with pytest.raises(ServiceError, match=r"no message received from /odom; does"):
         rig.body.begin(BEGIN)
     rig.passes(0.01)
     wishes = (
-        ({"kidnap_tick": 3}, "it cannot be carried away"),
-        ({"world": "campus"}, "no world and no variation"),
+        ({"kidnap_tick": 3}, "kidnap_tick is unsupported"),
+        ({"world": "campus"}, "world and variation are unsupported"),
     )
-    for wish, said in (*wishes, ({"variation": "evening"}, "no world and no variation")):
+    for wish, said in (*wishes, ({"variation": "evening"}, "world and variation are unsupported")):
         with pytest.raises(ServiceError, match=said):
             rig.body.begin(BEGIN.model_copy(update=wish))
     rig.clock.now_s += 1
-    with pytest.raises(ServiceError, match=r"the last picture of \S+ is 1\.0 s old"):
+    with pytest.raises(ServiceError, match=r"the last image of \S+ is 1\.0 s old"):
         rig.body.begin(BEGIN)

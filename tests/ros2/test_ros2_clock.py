@@ -146,7 +146,7 @@ def test_late_frame_is_old_when_the_clock_was_set_back(rig: Rig) -> None:
         assert not rig.may_go("forward")
         rig.clock.now_s += 0.1
     with pytest.raises(
-        ServiceError, match=r"^base: how the clock of /camera\S+ stands is learned; that takes 2 s$"
+        ServiceError, match=r"^base: the clock of /camera\S+ is being learned; wait 2 s$"
     ):
         rig.body.begin(BEGIN)
 

@@ -19,7 +19,7 @@ def test_preset_needs_only_the_watchdog(preset: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(f"preset: {preset}\n")
     with pytest.raises(
-        UsageError, match=r"mine\.yaml: watchdog_s: say after how many seconds .* stands by itself"
+        UsageError, match=r"mine\.yaml: watchdog_s: required; give the seconds .* stops by itself"
     ):
         read_config(path)
     path.write_text(
@@ -41,15 +41,18 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("preset: turtlebot5\n", "preset: known are donkeycar, generic, turtlebot3, turtlebot4"),
+        (
+            "preset: turtlebot5\n",
+            "preset not found; available: donkeycar, generic, turtlebot3, turtlebot4",
+        ),
         (BASE + "spede_m_s: 1\n", "spede_m_s: Extra inputs are not permitted"),
         (
             "watchdog_s: 0.2\n",
-            "lacks name, speed_m_s, turn_rate_rad_s, braking_s, camera; a preset has",
+            "missing name, speed_m_s, turn_rate_rad_s, braking_s, camera; presets with",
         ),
         (
             "preset: generic\nwatchdog_s: 0.5\n",
-            "base: after the silence of this process it would move for 0.70 s",
+            "base: stopping time after the silence of this process is too large (0.70 s",
         ),
         (BASE + "speed_m_s: fast\n", "speed_m_s: 'fast' must be a valid number"),
         (BASE + "speed_m_s: .nan\n", "speed_m_s: nan must be"),
@@ -59,28 +62,28 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
         (BASE + "namespace: robot1\n", "namespace: 'robot1' must match pattern"),
         (
             BASE + "router: robot.local\n",
-            "mine.yaml: router address 'robot.local': expected tcp/<host>:<port>",
+            "mine.yaml: invalid router address 'robot.local': expected tcp/<host>:<port>",
         ),
         (BASE + "scan: {topic: scan}\n", "scan.stop_m: Field required"),
         (
             BASE + "scan: {topic: scan, stop_m: 0.2, blind_m: 0.3}\n",
-            "scan: nothing would stop it, as blind_m is 0.3 m",
+            "scan: blind_m (0.3 m) must be less than stop_m",
         ),
         (BASE + "stops: [{topic: bump, type: x}]\n", "stops.0.type: 'x' must be"),
         (
             BASE + "velocity: {wheelbase_m: 0.3}\n",
-            "radius_m: what takes AckermannDrive has a least radius",
+            "radius_m: required for AckermannDrive",
         ),
         (
             BASE + "velocity: {type: ackermann_msgs/msg/AckermannDrive}\n",
-            "velocity: wheelbase_m belongs to an",
+            "velocity: wheelbase_m is required for AckermannDrive",
         ),
         ("- a\n", "expected settings such as `preset: turtlebot4`"),
         ("", "expected settings such as"),
-        ("a: [\n", "no YAML in line"),
-        ("!!python/object/apply:os.system ['true']\n", "no YAML"),
-        ("[" * 1500, "no YAML"),
-        ("a: " + "x" * 70000, "larger than 65536 bytes"),
+        ("a: [\n", "invalid YAML in line"),
+        ("!!python/object/apply:os.system ['true']\n", "invalid YAML"),
+        ("[" * 1500, "invalid YAML"),
+        ("a: " + "x" * 70000, "too large for a configuration (maximum 65536 bytes)"),
     ],
 )
 def test_a_mistake_is_one_line_that_names_it(text: str, line: str, tmp_path: Path) -> None:

@@ -197,6 +197,6 @@ def test_status_and_log_name_velocity_type_and_clock_offset(
     wanted = "TwistStamped" if driven.place.robot.humble else "Twist"
     assert detail["velocity_type"] == f"geometry_msgs/msg/{wanted}"
     log = (driven.place.robot.folder / "robot.log").read_text()
-    assert f"/cmd_vel takes geometry_msgs/msg/{wanted}: that is what is sent" in log
+    assert f"/cmd_vel: sending geometry_msgs/msg/{wanted}" in log
     assert abs(float(str(detail["robot_clock_ahead_s"])) - AHEAD_S) < 0.5
     assert detail["lacks"] is None

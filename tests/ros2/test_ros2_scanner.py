@@ -159,7 +159,7 @@ def test_a_way_that_is_not_seen_is_not_gone_and_the_others_are(rig: Rig) -> None
     ranges[20:40] = [NAN] * 20
     assert after(rig, ranges).ways() == "backward left right"
     assert not rig.may_go("forward")
-    assert rig.body.detail()["lacks"] == f"{SCAN} says nothing of 15 degrees ahead"
+    assert rig.body.detail()["lacks"] == f"{SCAN}: 15 degrees ahead are unknown"
     rig.passes(0.1)  # it needs not be armed again
     assert rig.may_go("forward")
 
@@ -186,7 +186,7 @@ def test_turtlebot_3_drives_when_its_zeros_are_declared_free(
         nothing[::5] = NAN
     safe = after(Rig(tmp_path, "half_angle_rad: 0.6", preset="turtlebot3"), nothing, **lds)
     assert not safe.may_go("forward")
-    assert "is its 0 a free way? see zero_is_free" in str(safe.body.detail()["lacks"])
+    assert "if 0 means free, set zero_is_free" in str(safe.body.detail()["lacks"])
     assert safe.may_go("left")
     told = Rig(tmp_path, "zero_is_free: true", preset="turtlebot3")
     assert after(told, nothing, **lds).may_go("forward")
@@ -206,7 +206,7 @@ def test_obstacle_is_near_when_it_is_too_near_to_be_measured(rig: Rig) -> None:
     after(rig, ranges)
     with pytest.raises(
         ServiceError,
-        match=r"something is 0\.00 m ahead \(/scan\); it stands until it is armed again",
+        match=r"obstacle 0\.00 m ahead \(/scan\); it stands until it is armed",
     ):
         rig.body.drive(KEYS["forward"])
     assert rig.may_go("backward")

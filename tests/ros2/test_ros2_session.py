@@ -127,7 +127,7 @@ def test_age_is_at_least_the_delay_when_a_link_is_late(
 
 
 def unheard(senses: Senses) -> bool:
-    return senses.silent() == f"nothing has come from {BUTTON}"
+    return senses.silent() == f"no message received from {BUTTON}"
 
 
 def pressed(senses: Senses) -> bool:
@@ -161,7 +161,7 @@ def test_robot_stands_when_its_button_is_silent_or_gone(
     assert unheard(senses)
     eventually(lambda: (say(False), released(senses))[1])
     place.robot.session.close()
-    eventually(lambda: place.session.lacks() == f"nobody publishes {BUTTON}")
+    eventually(lambda: place.session.lacks() == f"{BUTTON} has no publisher")
     say = place.start_robot()
     eventually(lambda: place.session.lacks() is None)
     assert unheard(senses)

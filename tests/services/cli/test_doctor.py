@@ -66,7 +66,7 @@ def test_a_port_of_a_running_stack(
     run_node(Node("robot", settings))
     found = check_port(ServiceSettings(router=router_endpoint))
     assert found.endswith(
-        "is used by the running stack of rescuebot, for whoever reaches it: robot"
+        "is used by the running stack of rescuebot, for anyone who can reach it: robot"
     )
 
 

@@ -34,12 +34,15 @@ MODELS = [
     ("text.smal", "text.smal"),
     ("newer.smal", f"format {FORMAT_VERSION + 1}"),
     ("mapped.smal --stride 2", "stride 2: the filter decides at every frame; for a stride"),
-    ("mapped.smal --scheme paper", "it was learned for the scheme 'filter', not 'paper'"),
+    ("mapped.smal --scheme paper", "scheme 'filter' of the model is not 'paper'"),
     ("mapped.smal --goal office", "the model has no goal 'office'; it has victim"),
     ("mapped.smal --modalities color", "--modalities color: the model was learned on"),
-    ("paper.smal --scheme filter", "it was learned for the scheme 'paper', not 'filter'"),
+    ("paper.smal --scheme filter", "scheme 'paper' of the model is not 'filter'"),
     ("paper.smal --stride 4", f"stride must be 1 to the sequence length {LENGTH}, got 4"),
-    ("paper.smal --goal victim", "goal 'victim': the paper's scheme goes to the nearest goal"),
+    (
+        "paper.smal --goal victim",
+        "goal 'victim': the paper's scheme always goes to the nearest goal",
+    ),
 ]
 #: Arguments separated by single spaces, exit status, and a pattern for the line.
 MISTAKES = [

@@ -16,7 +16,7 @@ from tests.services.console.page import Page
 from tests.services.operator.test_operator import RUN, misses_nobody
 from tests.services.robot.wheels import Robot
 
-HELD = "only the operator (at teleop) may do that"
+HELD = "permission denied: only the operator (at teleop) may do that"
 pytestmark = pytest.mark.parametrize("robot", [False], indirect=True, ids=["unattended"])
 
 

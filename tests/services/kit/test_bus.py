@@ -168,7 +168,7 @@ def test_call_names_the_reason_when_it_fails(client: Bus, other: Bus, router_end
     other.serve("sim", "late", lambda _request, reply: kept.append(reply))
     for verb, error in (
         ("refused", "^sim refused: no such episode$"),
-        ("malformed", "^sim malformed: malformed reply: episode: Field required$"),
+        ("malformed", "^sim malformed: invalid reply: episode: Field required$"),
         ("late", "^sim late: "),
     ):
         with pytest.raises(RpcError, match=error):
@@ -368,7 +368,7 @@ def test_a_port_where_something_else_listens() -> None:
     with socket.socket() as stranger:
         stranger.bind(("127.0.0.1", 0))
         stranger.listen()
-        with pytest.raises(BusError, match=r" is no router, or takes nobody in"):
+        with pytest.raises(BusError, match=r" is not a router, requires a certificate"):
             Bus("rescuebot", f"tcp/127.0.0.1:{stranger.getsockname()[1]}", patience_s=0.1)
 
 
@@ -389,7 +389,7 @@ def test_a_client_waits_for_a_router_that_is_starting(free_endpoint: str) -> Non
 def test_a_busy_port(router_endpoint: str) -> None:
     with pytest.raises(
         BusError,
-        match=rf"^cannot listen on {router_endpoint}: the port is in use; stop what uses it",
+        match=rf"^cannot listen on {router_endpoint}: the port is in use; stop its user",
     ):
         Router(router_endpoint)
 

@@ -97,7 +97,7 @@ def test_a_fleet_is_bounded_and_its_names_are_robots() -> None:
     assert fleet("rescuebot", 3) == ("rescuebot", "rescuebot-2", "rescuebot-3")
     with pytest.raises(ValueError, match=f"less than or equal to {MAX_ROBOTS}"):
         FleetSettings(robots=1000)
-    with pytest.raises(ValueError, match=f"robot id '{'r' * 31}-2' does not match"):
+    with pytest.raises(ValueError, match=f"invalid robot id '{'r' * 31}-2': must match"):
         FleetSettings(robot="r" * 31, robots=2)
 
 

@@ -21,13 +21,13 @@ from tests.services.chain import LENGTH, identity, observation, save_model, stat
 Service = PolicyService | RecognitionService
 SERVICES = (PolicyService, RecognitionService)
 REFUSALS = {
-    "missing": "^no model 'none.smal' below the root of this service$",
+    "missing": "^model 'none.smal' not found below the root of this service$",
     "truncated": "truncated.smal: truncated or altered",
     "stride": f"^longer.smal: stride must be 1 to the sequence length {LENGTH}, got {LENGTH + 1}$",
     "stride of the filter": "^mapped.smal: stride 2: the filter decides at every frame; for a stride use `smal paper",
-    "goal of the paper": "^longer.smal: goal 'there': the paper's scheme goes to the nearest goal, whatever its name$",
-    "for the paper": "^longer.smal: it was learned for the scheme 'paper', not 'filter'; learn again with `smal learn`",
-    "for the filter": "^mapped.smal: it was learned for the scheme 'filter', not 'paper'; learn again with `smal paper",
+    "goal of the paper": "^longer.smal: goal 'there': the paper's scheme always goes to the nearest goal$",
+    "for the paper": "^longer.smal: scheme 'paper' of the model is not 'filter'; learn again with `smal learn`",
+    "for the filter": "^mapped.smal: scheme 'filter' of the model is not 'paper'; learn again with `smal paper",
 }
 
 

@@ -109,7 +109,7 @@ def test_a_malformed_message_is_logged_once_counted_and_dropped(
     assert status(client).bad == {TELEOP.name: 5}
     lines = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
     assert len(lines) == 1, "a broken sender must not fill the log"
-    assert lines[0].startswith("dropped a bad message on command/teleop (1 so far): ")
+    assert lines[0].startswith("dropped an invalid message on command/teleop (1 in total): ")
     assert reason in lines[0]
 
 
@@ -152,9 +152,7 @@ def test_calls(
     assert client.call("sample", "end", EndRequest(episode="quiet"), Nothing) == Nothing()
     with pytest.raises(RpcError, match=r"^sample end: episode gone is not running$"):
         client.call("sample", "end", EndRequest(episode="gone"), Nothing)
-    with pytest.raises(
-        RpcError, match=r"^sample end: internal error; the log of sample says more$"
-    ):
+    with pytest.raises(RpcError, match=r"^sample end: internal error; see the log of sample$"):
         client.call("sample", "end", EndRequest(episode="bug"), Nothing)
     with pytest.raises(RpcError, match=r"^sample end: episode: Field required$"):
         client.call("sample", "end", Nothing(), Nothing)
@@ -322,7 +320,11 @@ def test_a_signal_stops_a_process_cleanly(
     ("flags", "status", "line"),
     [
         (("--robot", "Bad Robot"), 2, "sample: robot: 'Bad Robot' must match pattern"),
-        (("--router", "nonsense"), 1, "router address 'nonsense': expected tcp/<host>:<port>"),
+        (
+            ("--router", "nonsense"),
+            1,
+            "invalid router address 'nonsense': expected tcp/<host>:<port>",
+        ),
     ],
 )
 def test_bad_settings_are_one_line(flags: tuple[str, ...], status: int, line: str) -> None:

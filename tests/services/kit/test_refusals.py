@@ -268,7 +268,8 @@ def test_a_reply_that_is_too_large_is_an_error(client: Bus, node: Node, run_node
     ready(client, "sample")
     for episode in ("fails", "e"):
         with pytest.raises(
-            RpcError, match=r"^sample end: unfit reply: 2000012 bytes, at most 1000000 allowed$"
+            RpcError,
+            match=r"^sample end: invalid reply: too large \(2000012 bytes > maximum 1000000\)$",
         ):
             client.call("sample", "end", EndRequest(episode=episode), Failure)
 
@@ -380,8 +381,8 @@ def test_forged_replies(router_endpoint: str, client: Bus, way: str) -> None:
         assert sent.wait(100.0)
         other.close()
     expected = {
-        "key": "unfit reply: its key is smal",
-        "delete": "unfit reply: it deletes",
+        "key": "invalid reply: its key is smal",
+        "delete": "invalid reply: it deletes",
         "many": "first",
     }
     assert expected[way] in told

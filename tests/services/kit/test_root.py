@@ -99,7 +99,7 @@ def test_file_that_is_no_model_looks_missing(service: str, root: Path, client: B
     for number, (kind, make) in enumerate(NOTHING.items()):
         make(root / f"{number}.smal")
         line = refusal(lambda number=number: load(client, service, f"{number}.smal"))
-        assert line == f"no model '{number}.smal' below the root of this service", kind
+        assert line == f"model '{number}.smal' not found below the root of this service", kind
         assert client.call(service, "status", Nothing(), Status).detail == before, kind
     assert (before["model"], before["root"]) == ("good.smal", str(root))
 
@@ -111,7 +111,7 @@ def test_a_link_of_a_folder_leads_out_no_more_than_one_of_a_file(
     (root / "up").symlink_to("..")
     (root / "inside").symlink_to(".")
     line = refusal(lambda: load(client, service, "up/outside.smal"))
-    assert line == "no model 'up/outside.smal' below the root of this service"
+    assert line == "model 'up/outside.smal' not found below the root of this service"
     save_model(root / "good.smal")
     assert load(client, service, "inside/good.smal").stride == LENGTH
 
@@ -122,13 +122,13 @@ def test_device_is_not_a_model(settings: ServiceSettings, run_node: RunNode, cli
     run_node(node)
     for device in ("zero", "null", "tty", "fd/0"):
         line = refusal(lambda device=device: load(client, "recognition", device))
-        assert line == f"no model '{device}' below the root of this service"
+        assert line == f"model '{device}' not found below the root of this service"
 
 
 def test_malformed_name_is_refused_before_any_lookup(service: str, client: Bus) -> None:
     lines = {refusal(lambda name=name: load(client, service, name)) for name in MALFORMED}
     assert lines == {
-        "model: must be a path below the root of the service, relative, and no part may begin with a dot",
+        "model: must be a relative path below the root of the service; no part may begin with a dot",
         f"model: '{'x' * 40}' must have at most 1023 characters",
         "model: '' must have at least 1 character",
     }
@@ -142,7 +142,7 @@ def test_the_root_is_the_folder_of_the_start_unless_it_is_set(
     monkeypatch.setenv("SMAL_ROOT", "root")
     assert RootSettings().root == root
     monkeypatch.setenv("SMAL_ROOT", "none")
-    with pytest.raises(ValueError, match="none: no such folder"):
+    with pytest.raises(ValueError, match="none: folder not found"):
         RootSettings()
 
 

@@ -232,7 +232,7 @@ def test_the_command_replays_and_is_refused_where_a_robot_is(
     ready(client, "robot")
     status, _, why = smal("replay", path, "--router", router_endpoint)
     assert status == 1
-    assert why.startswith("smal: robot rescuebot is there already (process ")
+    assert why.startswith("smal: robot rescuebot already exists (process ")
     assert "smal up --robot-body none" in why
     assert why.count("\n") == 1
 

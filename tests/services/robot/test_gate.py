@@ -12,7 +12,7 @@ from services.robot.gate import MAX_AGE_S, OPERATOR_S, Applied, CommandGate
 from tests.services.robot.gating import beat, command
 
 STAND = Applied(STANDING, None, "silence")
-THEIRS = "only the operator (at desk) may do that"
+THEIRS = "permission denied: only the operator (at desk) may do that"
 
 
 def hear(
@@ -152,14 +152,14 @@ def test_no_stop_from_before_a_restart_is_released_after_it() -> None:
 def test_a_stop_is_released_by_its_own_number_alone(gate: CommandGate, number: int) -> None:
     gate.stop()
     gate.stop()
-    assert gate.arm(number, "") == "another stop was latched meanwhile"
+    assert gate.arm(number, "") == "another stop was latched since; arm again"
     assert gate.emergency_stop == 3
     assert gate.arm(3, "") is None
     assert gate.emergency_stop == 0
     assert gate.arm(number, "") == "no stop is latched"
     # Released once: the number is not good for the next one.
     gate.stop()
-    assert gate.arm(3, "") == "another stop was latched meanwhile"
+    assert gate.arm(3, "") == "another stop was latched since; arm again"
     assert gate.emergency_stop == 4
 
 
@@ -269,7 +269,10 @@ def test_one_operator_at_a_time(gate: CommandGate, other: str) -> None:
 
 def test_an_attended_robot_moves_only_while_an_operator_is_there() -> None:
     gate = CommandGate(attended=True, first_stop=1)
-    assert gate.arm(1, "o") == "no operator answers in time; this robot moves only while one does"
+    assert (
+        gate.arm(1, "o")
+        == "no operator answers in time; this robot moves only with a present operator"
+    )
     hear(gate, "o", 0, 10.0)
     assert gate.arm(1, "x") == THEIRS
     assert gate.arm(1, "o") is None

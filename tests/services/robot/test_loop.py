@@ -66,9 +66,7 @@ def test_failed_body_is_left_to_its_watchdog(
         ActuatorLoop(gate, body, told.append, body.clock).step()
     assert gate.stop_cause == "fault"
     assert "the body has failed" in caplog.text
-    assert (
-        "the body does not take the order to stand; its own watchdog has to stop it" in caplog.text
-    )
+    assert "the body failed to stand; its watchdog must stop it" in caplog.text
     assert not told
 
 
@@ -166,13 +164,13 @@ def test_all_delays_together_are_checked() -> None:
     body.braking_s = 0.24
     with pytest.raises(
         ServiceError,
-        match=r"line: after the silence of the driver it would move for 0\.51 s, more than",
+        match=r"line: stopping time after the silence of the driver is too large \(0\.51 s > maximum 0\.5 s",
     ):
         check_stopping(body)
     body.braking_s = 0.0
     body.watchdog_s = 0.6
     with pytest.raises(
-        ServiceError, match=r"of this process it would move for 0.60 s.*its watchdog 0.60 s"
+        ServiceError, match=r"of this process is too large \(0\.60 s.*its watchdog 0.60 s"
     ):
         check_stopping(body)
     body.watchdog_s = float("nan")

@@ -202,16 +202,17 @@ def test_only_requester_or_operator_cancels_an_opening_world(
         assert wheels.opens.wait(100.0)
         return thread
 
-    assert cancel("a") == "robot cancel: there is nothing to cancel: no episode is being begun"
+    assert cancel("a") == "robot cancel: no episode is beginning; nothing to cancel"
     opening = open_for("a")
     assert (
         cancel("b")
-        == "robot cancel: only who asked for this episode, or the operator, may cancel it"
+        == "robot cancel: permission denied: only the requester of this episode or the operator "
+        "may cancel it"
     )
     assert cancel("a") == "cancelled"
     opening.join(100.0)
     assert told == [
-        "robot reset: cancelled by who asked for it; the robot is in line, without an episode"
+        "robot reset: cancelled by its requester; the robot is in line, without an episode"
     ]
     assert runner.running is None
     operates = threading.Event()

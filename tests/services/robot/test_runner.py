@@ -314,6 +314,6 @@ def test_unknown_mode_is_refused_in_one_line() -> None:
     runner: EpisodeRunner[LineView] = EpisodeRunner(
         LineBody(Clock()), OperatorsTask(), armed(), "r", "s"
     )
-    with pytest.raises(ServiceError, match="line cannot wait for commands; ask for real time"):
+    with pytest.raises(ServiceError, match="line: unsupported mode lockstep; use realtime"):
         runner.reset(ResetRequest(seed=1))
     assert runner.running is None

@@ -40,7 +40,7 @@ def test_stopped_robot_begins_no_episode_until_it_is_armed(cause: StopCause, dri
     with pytest.raises(ServiceError, match=r"smal teleop \(n\)"):
         reset(runner, driver=driver)
     assert runner.running is episode, "a refused reset ends nothing"
-    with pytest.raises(ServiceError, match="another stop was latched meanwhile"):
+    with pytest.raises(ServiceError, match="another stop was latched since"):
         runner.arm(ArmRequest(stop=runner.gate.emergency_stop + 1))
     runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
     reset(runner, driver="teleop")
@@ -95,7 +95,7 @@ def test_episode_of_a_present_client_is_protected() -> None:
         beat(runner, "a", k)
         beat(runner, "b", k)
         for session in ("b", ""):
-            with pytest.raises(ServiceError, match="is another client's"):
+            with pytest.raises(ServiceError, match="belongs to another client"):
                 reset(runner, session=session)
     assert runner.running is run
     assert runner.gate.stop_cause is None
@@ -112,7 +112,7 @@ def test_episode_of_a_present_client_is_protected() -> None:
 
 def test_person_after_a_takeover_begins_an_episode() -> None:
     runner, _ = begin(LineBody(Clock()), session="a", mode="realtime")
-    with pytest.raises(ServiceError, match="is another client's"):
+    with pytest.raises(ServiceError, match="belongs to another client"):
         reset(runner, session="o", driver="teleop")
     answer(runner, "stop", source="teleop")
     reset(runner, session="o", driver="teleop")
@@ -177,7 +177,7 @@ def test_episode_that_an_operator_drives_is_protected() -> None:
         runner.end_by(EndRequest(episode=run.id, session="b"))
     with pytest.raises(ServiceError, match=HELD):
         reset(runner, session="b", driver="teleop")
-    with pytest.raises(ServiceError, match="is another client's"):
+    with pytest.raises(ServiceError, match="belongs to another client"):
         reset(runner, session="b")
     runner.end_by(EndRequest(episode=run.id, session="o", found=True))
     reset(runner, session="b")

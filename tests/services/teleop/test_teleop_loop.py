@@ -46,7 +46,7 @@ def driving(open_console: Callable[[], Console], robot: Robot) -> Console:
     console = open_console()
     console.wait_for(r"robot: not armed  \|")
     console.type(b"n")
-    console.wait_for(r"robot: stop \(nobody drives\)")
+    console.wait_for(r"robot: stop \(no driver\)")
     drive(console, robot)
     return console
 
@@ -63,8 +63,8 @@ def test_kill_9_of_the_teleoperation_while_it_drives(
     assert stood_s - killed_s <= STAND_WITHIN_S + lost_s(killed_s)
     # Who sits down again is told, and goes on when they say so; no sooner.
     again = open_console()
-    again.wait_for(r"robot: stop \(it had lost you; r resumes\)")
+    again.wait_for(r"robot: stop \(operator lost; r resumes\)")
     again.type(b"\x1b[119u\x1b[119;1:3u")
-    again.press_until(b"r", r"robot: stop \(nobody drives\)", unless=r"no operator answers in time")
+    again.press_until(b"r", r"robot: stop \(no driver\)", unless=r"no operator answers in time")
     assert robot.wheels.stands_s == stood_s, "the key that was pressed before moved nothing"
     drive(again, robot)

@@ -114,7 +114,7 @@ def told(router_endpoint: str) -> Iterator[Console]:
 
 def begin(console: Console, robot: Robot) -> None:
     console.wait_for(r"robot: not armed  \|")
-    console.press_until(b"n", r"frame \d+  \|  robot: stop \(nobody drives\)", unless=REFUSED)
+    console.press_until(b"n", r"frame \d+  \|  robot: stop \(no driver\)", unless=REFUSED)
     assert len(robot.resets) == 1
 
 
@@ -207,7 +207,7 @@ def test_later_stop_is_not_released_by_an_earlier_key(
     console.wait_for("its body has failed")
     robot.before_arm = robot.gate.stop
     console.type(key)
-    console.wait_for("robot arm: another stop was latched meanwhile")
+    console.wait_for("robot arm: another stop was latched since")
     assert robot.arms == [1, 2]
     assert robot.gate.emergency_stop == 3
     assert len(robot.resets) == 1
@@ -230,7 +230,7 @@ def test_emergency_stop_survives_when_pressed_during_arming(
     )
     console.type(b"n")
     console.wait_for(
-        "robot arm: another stop was latched meanwhile|robot reset: an emergency stop is latched"
+        "robot arm: another stop was latched since|robot reset: an emergency stop is latched"
     )
     console.wait_for(r"EMERGENCY STOP  \|  robot: emergency stop")
     assert (robot.arms, robot.resets) == ([1], [])

@@ -140,19 +140,19 @@ def not_seen(image: np.ndarray, camera: Calibration = CAMERA, tag: Tag = TAG) ->
             [TAG],
             CAMERA,
             replace(TAG, side_m=0.23),
-            "another tag, another height, or a wrong calibration",
+            "check the tag, its height and the calibration",
         ),
         (
             [TAG],
             CAMERA,
             replace(TAG, height_m=0.0),
-            "another tag, another height, or a wrong calibration",
+            "check the tag, its height and the calibration",
         ),
         (
             [TAG],
             changed(CAMERA, focal_px=640.0),
             TAG,
-            "another tag, another height, or a wrong calibration",
+            "check the tag, its height and the calibration",
         ),
     ],
 )
@@ -170,7 +170,7 @@ def test_stretched_image_is_refused() -> None:
     image = photograph(shot, TAG)
     # Every tenth row shown twice: the tag is 10 % too long one way, 5 % on average.
     stretched = np.repeat(image, 1 + (np.arange(len(image)) % 10 == 0), axis=0)[38 : 38 + SIZE[1]]
-    assert "is no square of 0.2 m" in not_seen(np.ascontiguousarray(stretched))
+    assert "is not a square of 0.2 m" in not_seen(np.ascontiguousarray(stretched))
 
 
 def seen_right_or_not_at_all(

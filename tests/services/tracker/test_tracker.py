@@ -83,9 +83,9 @@ def test_a_drive_over_the_bus(client: Bus, router_endpoint: str) -> None:
     for tick in (4, 5, 6):
         assert heard[tick] == TrackedPose.after(frame(tick), visible=False)
     log = child.stderr.read()
-    assert log.count("lost the tag") == log.count("seen again") == 1
+    assert log.count("lost the tag") == log.count("visible again") == 1
     assert "lost the tag at frame 4 of episode e: no markers with number 7 are in the image" in log
-    assert "the tag is seen again at frame 7 of episode e" in log
+    assert "the tag is visible again at frame 7 of episode e" in log
 
 
 def test_an_impossible_calibration_is_one_line_and_no_pose(
@@ -104,7 +104,7 @@ def test_an_impossible_calibration_is_one_line_and_no_pose(
     status = eventually(lambda: (now := status_of(client, "tracker")) and now.failed and now)
     assert status.published["pose/tracked"] == status.received["camera/overhead"] - 1
     (line,) = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
-    assert line.startswith("handling camera/overhead failed (1 failures so far): a camera 0.4 m")
+    assert line.startswith("handling camera/overhead failed (1 failures in total): a camera 0.4 m")
 
 
 def test_default_tag_is_the_tag_of_the_simulator() -> None:

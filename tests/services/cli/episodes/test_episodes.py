@@ -177,7 +177,7 @@ def test_things_that_no_report_could_show_are_an_error(
     )
     robot.serve("reset", ResetRequest, lambda _request: said)
     run_node(robot)
-    with pytest.raises(JobError, match="robot reset: malformed reply: things"):
+    with pytest.raises(JobError, match="robot reset: invalid reply: things"):
         client.run(REQUEST)
 
 
