@@ -61,6 +61,11 @@ class Belief:
     unseen: float = 0.0
     camera: CameraState = "sees"
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether the robot is more likely lost than not."""
+        return self.lost > 0.5
+
     def summary(self, most: int = PLACES) -> "Belief":
         """Return the belief with one mean particle for each keyframe.
 
@@ -112,7 +117,11 @@ class Newness:
         self._map = visual_map
         self._counted = self._last = np.zeros(len(visual_map.basis), dtype=np.float32)
         self._used = 0.0
-        self.step = np.zeros(3)
+        self._step = np.zeros(3)
+
+    def move(self, step: Floats) -> None:
+        """Follow the robot by a step: ahead, left, turned (3,)."""
+        self._step = placed(step, self._step)
 
     def of(self, centred: Float32s) -> float:
         """Return how new the next view is, by its centred features (m,), and store it.
@@ -126,7 +135,7 @@ class Newness:
             self._used = 0.0
         self._last = centred
         like_counted = correlation(float(centred @ self._counted))
-        by_place = math.sqrt(like_counted * self._map.expected(self.step))
+        by_place = math.sqrt(like_counted * self._map.expected(self._step))
         same = min(like_counted, by_place)
         new = (1.0 - same) / (1.0 + same)
         newness = max(new - self._used, 0.0)
@@ -134,7 +143,7 @@ class Newness:
         if same < self._map.next_correlation:
             self._counted = centred
             self._used = 0.0
-            self.step = np.zeros(3)
+            self._step = np.zeros(3)
         return newness
 
 
@@ -248,7 +257,7 @@ class Filter:
         step = np.array([movement.ahead, 0.0, movement.turn_rad])
         if self._started:
             self._since = placed(step, self._since)
-        self._newness.step = placed(step, self._newness.step)
+        self._newness.move(step)
         self._frozen.look(centred, step if self._started else np.zeros(3))
         seen = self._seen(centred)
         if self._started:

@@ -86,7 +86,7 @@ def shows_same(
     return np.asarray(near & (turned < math.radians(config.spacing_deg)))
 
 
-def leads_on(
+def without_detours(
     poses: Floats,
     drives: Int32s,
     length: float,

@@ -2,7 +2,7 @@
 
 A keyframe is a taught frame with virtual views of its place from beside and turned (`smal.camera.Scene`). Keyframes are
 a fifth of the correlation length apart, so that a view hardly changes between two of them. The correlation length is
-the way over which the similarity of views falls to half. No length is in ticks: the map is independent of the speed and
+the way after which the mean cosine of two views is half way to the cosine of unrelated views. No length is in ticks: the map is independent of the speed and
 of the frame rate. Views are stored as principal components, so that thousands of them fit into the time of a decision.
 `smal.teaching.mapping` builds the map from drives.
 """
@@ -21,7 +21,7 @@ from smal.arrays import AnyArray, Float32s, Floats, Indices, Int8s, Int32s
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG
 from smal.files.packed import BATCH, unit, unpacked
 from smal.files.stored import Content
-from smal.keyframes import MAP_CONFIG, MapConfig, leads_on
+from smal.keyframes import MAP_CONFIG, MapConfig, without_detours
 from smal.likelihood import GRID, SHARES, Likelihood, evenly
 from smal.movement import Atom, Movement, placed, seen_from
 
@@ -233,7 +233,7 @@ class VisualMap:
     @cached_property
     def arc(self) -> Floats:
         """Way until each frame, over all drives in a row, without detours, (f,)."""
-        on = leads_on(self.poses, self.drives, self.correlation_length, self.config)
+        on = without_detours(self.poses, self.drives, self.correlation_length, self.config)
         steps = np.hypot(*np.diff(self.poses[on, :2], axis=0).T)
         same_drive = np.diff(self.drives[on]) == 0
         way = np.append(0.0, np.cumsum(np.where(same_drive, steps, 0.0)))

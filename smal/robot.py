@@ -163,7 +163,7 @@ class Localizer:
         """Return the distance to unexpected ground ahead, in the map's unit; infinite if the ground is as taught."""
         best = int(belief.weights.argmax())
         offset = belief.offsets[best]
-        if self._ground is None or picture is None or belief.lost > 0.5:
+        if self._ground is None or picture is None or belief.is_lost:
             self._strange_s = 0.0
             self._strange = math.inf
         elif abs(offset[2]) < math.radians(self._map.config.spacing_deg):
@@ -340,7 +340,7 @@ class Robot:
     @property
     def lost(self) -> bool:
         """Whether the robot is more likely lost than not."""
-        return self.belief.lost > 0.5
+        return self.belief.is_lost
 
     @property
     def said(self) -> Said | None:

@@ -18,7 +18,7 @@ def fields_of(located: Located) -> dict[str, Any]:
     offsets = belief.offsets.clip(-FAR_M, FAR_M)
     places = np.column_stack([belief.keyframes, offsets, belief.weights])
     fields: dict[str, Any] = {
-        "status": "unknown" if belief.lost > 0.5 else "recognized",
+        "status": "unknown" if belief.is_lost else "recognized",
         "places": Float32Array.from_numpy(places.astype(np.float32)),
         "lost": min(belief.lost, 1.0),
         "cosine": belief.cosine,

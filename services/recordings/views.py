@@ -182,7 +182,7 @@ class Views:
         poses = placed(offsets, self._keyframes[keyframes[known]])
         wheels = self._wheels.get(state.tick)
         # A lost robot is drawn by its wheels, if it has any.
-        if wheels is not None and state.lost <= 0.5:
+        if wheels is not None and state.status == "recognized":
             yield RecordedView(
                 "map", _transform(state, "odom", "map", _origin_of(wheels, poses[0]))
             )

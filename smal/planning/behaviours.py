@@ -66,7 +66,7 @@ class Situation:
     @property
     def lost(self) -> bool:
         """Whether the robot is more likely lost than not."""
-        return self.belief.lost > 0.5
+        return self.belief.is_lost
 
     @property
     def sees(self) -> bool:

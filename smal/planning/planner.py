@@ -189,7 +189,7 @@ class Planner:
             heading_rad=math.atan2(mean.imag, mean.real),
             underway_rad=self._steering.underway_rad(delay_s),
             has_way=has_way,
-            clear=has_way and belief.lost <= 0.5 and agree,
+            clear=has_way and not belief.is_lost and agree,
             at_goal=float(belief.weights @ near_goal),
             at_end=float(belief.weights @ at_end) > 0.5,
             unseen=belief.unseen > self._config.blind_s * taught.speed,

@@ -53,7 +53,7 @@ class CalibrationConfig:
     most_frames: int = 1000
 
 
-CALIBRATION: Final = CalibrationConfig()
+CALIBRATION_CONFIG: Final = CalibrationConfig()
 #: Candidates for a camera of unknown field of view; the first is the default.
 USUAL_CAMERAS: Final = (Camera.of_field(70.0), Camera.of_field(140.0, "equidistant"))
 #: Candidates for the turn between views of a fit: the views must overlap.
@@ -99,7 +99,7 @@ class TaughtFrames:
     movements: Floats
     odometry: bool = True
     camera: Camera | None = None
-    config: CalibrationConfig = CALIBRATION
+    config: CalibrationConfig = CALIBRATION_CONFIG
 
     @cached_property
     def car(self) -> bool:
@@ -205,7 +205,7 @@ def turn_of_views(
     atoms: Sequence[Int8s],
     cameras: Sequence[Camera],
     describe: Describe,
-    config: CalibrationConfig = CALIBRATION,
+    config: CalibrationConfig = CALIBRATION_CONFIG,
 ) -> tuple[Camera, float] | None:
     """Measure the turn of a turning atom, by the turn with which views predict each other best.
 

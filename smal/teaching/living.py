@@ -29,7 +29,7 @@ from smal.movement import Atom, Movement, dead_reckoning, seen_from
 from smal.planning import Planner
 from smal.planning.config import PLANNER_CONFIG
 from smal.robot import Localizer
-from smal.teaching.calibration import CALIBRATION
+from smal.teaching.calibration import CALIBRATION_CONFIG
 from smal.teaching.demonstration import Demonstration, check_features, drives_to_goals
 from smal.teaching.mapping import virtual_poses
 
@@ -156,7 +156,7 @@ def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
 def _usually_says(taught: VisualMap) -> float:
     """Return the median log likelihood ratio of the view of a keyframe at the keyframe before it."""
     keys = np.flatnonzero(np.diff(taught.key_drives) == 0)
-    keys = keys[evenly(keys.size, CALIBRATION.most_frames)]
+    keys = keys[evenly(keys.size, CALIBRATION_CONFIG.most_frames)]
     views = unpacked(taught.views[keys, 1, STRAIGHT])
     after = unpacked(taught.views[keys + 1, 1, STRAIGHT])
     z = []

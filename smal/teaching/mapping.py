@@ -18,7 +18,7 @@ from smal.features.detectors import Detection
 from smal.features.extraction import Parallel, detect, in_parallel
 from smal.features.resizing import small
 from smal.files.packed import packed, unit
-from smal.keyframes import MAP_CONFIG, MapConfig, leads_on, shows_same
+from smal.keyframes import MAP_CONFIG, MapConfig, shows_same, without_detours
 from smal.likelihood import evenly
 from smal.map import VisualMap, beside, way_from
 from smal.model import Model
@@ -339,7 +339,7 @@ def _choose_keyframes(poses: Floats, drives: Int32s, length: float, config: MapC
     """Return the first and last frame of each drive, and all frames that are far or turned from the one before."""
     ends = np.diff(drives, prepend=-1, append=-1) != 0
     chosen: list[int] = []
-    for frame in np.flatnonzero(leads_on(poses, drives, length, config)):
+    for frame in np.flatnonzero(without_detours(poses, drives, length, config)):
         is_end = ends[frame] or ends[frame + 1]
         if is_end or not shows_same(poses[frame, None], poses[chosen[-1]], length, config)[0]:
             chosen.append(int(frame))

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smal.filter import Filter
-from smal.keyframes import leads_on, shows_same
+from smal.keyframes import shows_same, without_detours
 from smal.movement import Atom, dead_reckoning
 from smal.planning import Planner
 from tests.smal.synthetic_world import SCENE, START, Drive, Room, drive, driven, taught
@@ -44,7 +44,7 @@ def test_no_view_is_left_and_come_back_to_and_there_are_no_gaps(
 ) -> None:
     atoms = np.repeat([key for key, _ in keys], [frames for _, frames in keys])
     poses = dead_reckoning(atoms, MOVEMENTS)
-    on = leads_on(poses, np.zeros(len(poses), dtype=np.int32), LENGTH_M)
+    on = without_detours(poses, np.zeros(len(poses), dtype=np.int32), LENGTH_M)
     way = poses[on]
     assert on[0]
     assert on[-1]
@@ -64,7 +64,7 @@ def test_detour_round_a_post_is_kept() -> None:
     ahead = [Atom.FORWARD] * 4
     atoms = [*ahead, *turn, *ahead, *[Atom.RIGHT] * 20, *ahead, *turn, *ahead, Atom.STOP]
     poses = dead_reckoning(np.array(atoms), MOVEMENTS)
-    on = leads_on(poses, np.zeros(len(poses), dtype=np.int32), 5.0)
+    on = without_detours(poses, np.zeros(len(poses), dtype=np.int32), 5.0)
     assert poses[on, 1].max() == pytest.approx(poses[:, 1].max())
 
 

@@ -98,5 +98,5 @@ def test_a_file_keeps_the_ground_and_one_without_it_is_read(tmp_path: Path) -> N
     with pytest.raises(ValueError, match="does not know how the ground looks"):
         Robot(Model.load(tmp_path / "way.smal"), watches=True)
     harmed = Ground(np.zeros((3, 5, 3), np.uint8), 0.1)
-    with pytest.raises(ValueError, match="of other keyframes"):
+    with pytest.raises(ValueError, match="other keyframes than the map"):
         replace(model(), ground=harmed)

@@ -23,7 +23,7 @@ from smal.files.packed import unit
 from smal.keyframes import MapConfig
 from smal.map import VisualMap
 from smal.teaching import mapping
-from smal.teaching.calibration import CALIBRATION, TaughtFrames, correlation_length
+from smal.teaching.calibration import CALIBRATION_CONFIG, TaughtFrames, correlation_length
 from smal.teaching.demonstration import Demonstration
 from tests import corridor
 from tests.smal.synthetic_world import COLOR, SCENE, START, Image, Room, drive, taught, usual_map
@@ -124,7 +124,7 @@ def test_right_place_is_among_the_candidates_of_a_long_way() -> None:
 
 def test_correlation_length_does_not_depend_on_drive_length() -> None:
     usual = usual_map()[0].correlation_length
-    closely = replace(CALIBRATION, most_frames=64, reach=1.0)
+    closely = replace(CALIBRATION_CONFIG, most_frames=64, reach=1.0)
     with patch("smal.teaching.mapping.TaughtFrames", partial(TaughtFrames, config=closely)):
         found = taught(ROOM, drive(), scene=SCENE)[0]
     assert found.correlation_length == pytest.approx(usual, rel=0.25)
