@@ -45,8 +45,7 @@ def demonstrate(
     """Record demonstrations of the search, driven by a scripted expert.
 
     Without --connect the command starts a stack and stops it at the end. Drive k of each kind uses
-    the
-    seed SEED + k, so the same command reproduces the same drives.
+    the seed SEED + k, so the same command reproduces the same drives.
 
     Example: smal demonstrate --world campus --seed 1 --out drives
     """

@@ -81,8 +81,7 @@ def evaluate(
 
     The work is done in units: a drive, a model, or the searches of one driver under one condition.
     After an interruption, the same command continues with the remaining units. --report-only writes
-    a
-    page of the finished units at any time.
+    a page of the finished units at any time.
 
     Example: smal evaluate --out evaluation --quick
     """

@@ -42,15 +42,13 @@ def export_recordings(
     """Convert recordings to the format of other software.
 
     rosbag2: one bag per drive in OUT, as `ros2 bag record -s mcap` writes it (also for Foxglove),
-    with
-    images, camera info, odometry, velocities on /cmd_vel, inertial measurements and tf.
-    lerobot: one LeRobotDataset v3.0 with video. folder: images and a drive.csv.
-    `smal import` restores the drives from each format.
+    with images, camera info, odometry, velocities on /cmd_vel, inertial measurements and tf.
+    lerobot: one LeRobotDataset v3.0 with video. folder: images and a drive.csv. `smal import`
+    restores the drives from each format.
 
     Actions become velocities. The speed and turn rate of a robot are the medians of its odometry
-    over
-    all recordings, and are reported. Features, beliefs and true poses are not exported. OUT appears
-    only when the export is complete.
+    over all recordings, and are reported. Features, beliefs and true poses are not exported. OUT
+    appears only when the export is complete.
 
     Example: smal export rosbag2 drives --out bags
     """

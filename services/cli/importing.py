@@ -112,19 +112,15 @@ def import_recordings(
     """Convert recordings of other software for `smal learn`.
 
     rosbag2: a ROS 2 bag (MCAP or SQLite) with images and Twist, TwistStamped or Odometry. A bag is
-    one
-    drive; import several bags into one OUT one by one. lerobot: a LeRobotDataset (v2.0, v2.1, v3.0)
-    of
-    a mobile base. donkeycar: a tub of version 2. folder: images and a drive.csv with the columns
-    image,
-    time_s, linear_m_s, angular_rad_s (optional: episode, success, x_m, y_m, heading_rad).
+    one drive; import several bags into one OUT one by one. lerobot: a LeRobotDataset (v2.0, v2.1,
+    v3.0) of a mobile base. donkeycar: a tub of version 2. folder: images and a drive.csv with the
+    columns image, time_s, linear_m_s, angular_rad_s (optional: episode, success, x_m, y_m,
+    heading_rad).
 
     Drives count as successful unless the source or --failed says otherwise. --velocity is the topic
-    of
-    a bag, or LINEAR,ANGULAR of a LeRobot action. A speed of 1 means 1 m/s (donkeycar: unknown). A
-    turn
-    rate of 1 means 1 rad/s (x.vel and theta.vel: 1 degree/s). --rate replaces wrong times of a
-    source.
+    of a bag, or LINEAR,ANGULAR of a LeRobot action. A speed of 1 means 1 m/s (donkeycar: unknown).
+    A turn rate of 1 means 1 rad/s (x.vel and theta.vel: 1 degree/s). --rate replaces wrong times of
+    a source.
 
     Recordings have 10 frames per second at any source rate. Velocities become the actions forward,
     backward, left, right and stop; --still and --turning set the limits as fractions of the robot's

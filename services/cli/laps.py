@@ -18,12 +18,9 @@ def laps(
     """Evaluate place recognition on laps of a real robot and write a page of results.
 
     SMAL learns one lap and localizes each frame of the other laps, with and without odometry. The
-    page
-    compares it with the nearest taught frame and with teach and repeat. The source needs three
-    whole
-    laps, which are detected by recurring views. The command takes some minutes. OUT/index.html is
-    the
-    page and OUT/results.json holds the numbers.
+    page compares it with the nearest taught frame and with teach and repeat. The source needs three
+    whole laps, which are detected by recurring views. The command takes some minutes.
+    OUT/index.html is the page and OUT/results.json holds the numbers.
 
     Example: smal laps tub --out laps
     """

@@ -34,12 +34,10 @@ def learn(
     The features are computed from the recorded images; --modalities accepts all but depth.
 
     With --add the model at --out is extended by two or more successful runs. If the robot was
-    certain
-    of its place and the view was unexpected, the place gets a view variant (maximum four). Every
-    second
-    run is held back; the extended map is kept only if the held-back runs are at least as likely in
+    certain of its place and the view was unexpected, the place gets a view variant (maximum four).
+    Every second run is held back; the extended map is kept only if the held-back runs are at least
+    as likely in it. The previous model stays beside it as MODEL.1; `smal model back MODEL` restores
     it.
-    The previous model stays beside it as MODEL.1; `smal model back MODEL` restores it.
 
     Example: smal learn drives --out campus.smal
 

@@ -265,53 +265,38 @@ def match(
 
     Input: a traverse is a folder of images in natural order (img2 before img10), a video, or a
     recording of SMAL (.mcap); its frames count from 0. All image formats, sizes and bit depths of
-    OpenCV
-    are supported. Unreadable images are skipped and keep their number. Features are cached in
-    $XDG_CACHE_HOME/smal (~/.cache/smal, maximum 90,000 images).
+    OpenCV are supported. Unreadable images are skipped and keep their number. Features are cached
+    in $XDG_CACHE_HOME/smal (~/.cache/smal, maximum 90,000 images).
 
     Scores: the score of smal is the probability that the match is correct within --tolerance
-    frames. The
-    default tolerance is the distance over which references look alike; with --truth, half of the
-    usual
-    interval. --precision .99 keeps the most confident matches of which 99 of 100 are correct, and
-    omits
-    places that no reference shows. Scores of other methods only rank the matches of one run; their
-    first
-    queries have no match until a window of --length frames is complete.
+    frames. The default tolerance is the distance over which references look alike; with --truth,
+    half of the usual interval. --precision .99 keeps the most confident matches of which 99 of 100
+    are correct, and omits places that no reference shows. Scores of other methods only rank the
+    matches of one run; their first queries have no match until a window of --length frames is
+    complete.
 
     Except for paper and image, the average image of a traverse (such as its light) is removed. smal
-    uses
-    all queries for each answer. With --online LAG it answers with a latency of LAG frames (0:
+    uses all queries for each answer. With --online LAG it answers with a latency of LAG frames (0:
     immediately).
 
     Loops: --loops FILE matches each frame with much earlier frames, without QUERIES, at --precision
-    .99.
-    FILE has an edge of g2o for each: EDGE_SE2 EARLIER LATER 0 0 0, with the score as information
-    for x
-    and y, and 0 for the heading.
+    .99. FILE has an edge of g2o for each: EDGE_SE2 EARLIER LATER 0 0 0, with the score as
+    information for x and y, and 0 for the heading.
 
     Depth: images have 16 bits, in millimetres; --reference-depth has one image for each of
-    REFERENCES,
-    in the same order.
+    REFERENCES, in the same order.
 
     Ground truth: the file of --truth has the columns query, reference_first, reference_last, with
     frames counted from 0 and the last frame included (7,20,24). A query has several rows if
-    references
-    show its place several times. The row 7,, marks a query that no reference shows. Queries without
-    a
-    row are not evaluated. --truth names matches equal file names (within --tolerance frames),
-    --truth
-    gps EXIF positions within --radius metres, and --poses two files with the columns frame, x_m,
-    y_m.
-    The report adds the area under the precision-recall curve (auc) and the recall at 100 %
-    precision,
-    both with 95 % intervals and after filtering, the expected calibration error, and how well
-    unknown
-    queries are detected.
+    references show its place several times. The row 7,, marks a query that no reference shows.
+    Queries without a row are not evaluated. --truth names matches equal file names (within
+    --tolerance frames), --truth gps EXIF positions within --radius metres, and --poses two files
+    with the columns frame, x_m, y_m. The report adds the area under the precision-recall curve
+    (auc) and the recall at 100 % precision, both with 95 % intervals and after filtering, the
+    expected calibration error, and how well unknown queries are detected.
 
     Judging: --page FILE shows the 200 least certain matches as images. Mark the correct matches
-    there
-    and save a file for --truth.
+    there and save a file for --truth.
 
     JSON: all results, the names of frames, and "matches", one for each query frame: {"query",
     "reference", "score", "unknown"}. Without a match, reference is null and score 0. unknown is the

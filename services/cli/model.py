@@ -49,8 +49,7 @@ def show(
 
     OUT/index.html shows the taught routes with their junctions and the cost to each goal. A model
     contains no images. With --recordings the page shows images of each drive, and the places where
-    the
-    localization of the same drives is uncertain. The page works offline.
+    the localization of the same drives is uncertain. The page works offline.
 
     Example: smal model show campus.smal --recordings drives --out shown
     """

@@ -53,8 +53,7 @@ def check(recordings: Paths, as_json: Json = False) -> None:
     """Read recordings completely and report each problem in a line.
 
     The checks cover checksums, undecodable messages, missing ticks and seals. The exit status is 1
-    if
-    there is a problem.
+    if there is a problem.
 
     Example: smal recording verify drives
     """

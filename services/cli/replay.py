@@ -40,11 +40,9 @@ def replay(
     """Publish a recording with its timing, so that a stack runs without a robot.
 
     The stack is `smal up --robot-body none`; its features, recognition and policy answer as usual.
-    The
-    topics of the robot and its camera are published with the id of a new episode and current
+    The topics of the robot and its camera are published with the id of a new episode and current
     timestamps. Commands are never replayed. A robot with the same id must not run. With --secure
-    the
-    command uses the robot's certificate.
+    the command uses the robot's certificate.
 
     Example: smal replay drives/drive-1.mcap --rate 2
     """

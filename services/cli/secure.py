@@ -47,8 +47,7 @@ def init(
 
     The engine's certificate is for Dask schedulers and their workers only (`smal evaluate
     --scheduler`). Copy to each machine ca.pem and the certificate and key of its role. Keep ca.key
-    away
-    from robots: its holder can take any role.
+    away from robots: its holder can take any role.
 
     Example: smal secure init keys --host robot.example
     """
@@ -86,8 +85,7 @@ def renew(folder: Folder, host: Hosts = None, days: Days = DAYS) -> None:
     """Create new certificates for every role, signed by the newest authority.
 
     The router's certificate keeps its host names; --host adds more. A process uses its new
-    certificate
-    at the next connection, the router at its next start.
+    certificate at the next connection, the router at its next start.
 
     Example: smal secure renew keys
     """

@@ -170,12 +170,10 @@ def up(
     """Start all services of a stack and keep them running.
 
     A service that ends is restarted, with growing delays. Ctrl-C stops everything. With --router
-    A,B a
-    router runs at each address; if one fails, the services continue at the other.
+    A,B a router runs at each address; if one fails, the services continue at the other.
 
     The web page http://127.0.0.1:8080 drives, teaches and monitors the robot. Other terminals can
-    use
-    the stack as well: smal teleop, smal topic hz, smal run --connect.
+    use the stack as well: smal teleop, smal topic hz, smal run --connect.
 
     Clients such as smal run --connect may read models and write recordings below --root, by default
     the current folder. With --metrics-port 9100 the router reports its health on

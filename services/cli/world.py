@@ -72,16 +72,12 @@ def import_world(
     """Convert an OpenStreetMap extract to a world.
 
     Buildings (with courtyards, parts, roofs), roads with sidewalks and markings, water, woods,
-    trees and
-    barriers become a terrain. Invalid objects are left out and counted.
+    trees and barriers become a terrain. Invalid objects are left out and counted.
 
     Start and victim come from the map's smal:role nodes, or are chosen by --seed: the victim beside
-    a
-    wall near the middle, the start about 100 m of road away without a view of the victim. X and Y
-    are
-    metres east and north of the map's middle; headings are degrees anticlockwise from east. To move
-    the
-    victim later, edit its x and y in the JSON file.
+    a wall near the middle, the start about 100 m of road away without a view of the victim. X and Y
+    are metres east and north of the map's middle; headings are degrees anticlockwise from east. To
+    move the victim later, edit its x and y in the JSON file.
 
     Example: smal world import map.osm --out town.json --seed 3
     """
