@@ -65,10 +65,8 @@ def judge(answers: Sequence[Answers], truths: Sequence[NDArray[np.intp]], lap: i
     off = _apart(frames, np.concatenate(truths), lap)
     right = off <= WITHIN
     probable = not np.isnan(likely).any()
-    shares = {"correct within a twentieth": off <= WITHIN / 2.0, "correct within a tenth": right}
-    shares |= (
-        {"lost": lost > LOST, "wrong and confident": ~right & (lost < SURE)} if probable else {}
-    )
+    shares = {"right within a twentieth": off <= WITHIN / 2.0, "right within a tenth": right}
+    shares |= {"lost": lost > LOST, "wrong and sure": ~right & (lost < SURE)} if probable else {}
     figures: dict[str, float | list[float]] = {}
     drawn = np.random.default_rng(0).integers(len(truths), size=(2000, len(truths)))
     for name, share in shares.items():

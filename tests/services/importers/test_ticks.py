@@ -73,7 +73,7 @@ def test_times_that_are_not_seconds_are_named(late_s: float) -> None:
 def test_times_that_go_back_are_counted() -> None:
     _, frames, tally = shown([0.0, 0.1, 0.05, math.nan, 0.2])
     assert frames == [0, 1, 4]
-    assert tally.counts == {"frames are not later than the one before": 2}
+    assert tally.counts == {"frames are not later than the frame before": 2}
 
 
 ROWS = st.lists(

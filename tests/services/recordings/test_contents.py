@@ -127,8 +127,8 @@ def test_each_kind_of_fault_is_one_line(tmp_path: Path, smal: Smal) -> None:
     assert status == 1
     assert told.splitlines() == [
         f"{one}: episode e: camera/jpeg: 1 of 6 do not decode: tick 9: not a JPEG image",
-        f"{one}: episode e: pose/truth: 1 are there twice, the first of tick 3",
-        f"{one}: episode e: its end was not recorded",
+        f"{one}: episode e: pose/truth: 1 duplicates, the first at tick 3",
+        f"{one}: episode e: end not recorded",
         f"{one}: episode e: camera/jpeg lacks 2",
     ]
 
@@ -184,7 +184,7 @@ def test_nothing_is_overwritten_but_when_told_to(tmp_path: Path, smal: Smal) -> 
     status, _, why = smal("recording", "repair", partial, "--out", other)
     assert (status, why) == (
         2,
-        f"smal: --out {other}: is there already; give another name, or --replace\n",
+        f"smal: --out {other}: already exists; choose another name, or give --replace\n",
     )
     with pytest.raises(JobError, match="is there already"):
         repair([partial], other)
@@ -202,7 +202,7 @@ def test_nothing_is_overwritten_but_when_told_to(tmp_path: Path, smal: Smal) -> 
     assert usual_name(path, replace=False) == tmp_path / "e-2-repaired.mcap"
     repair([path], usual_name(path, replace=True), replace=True)
     assert len(read_all(path)) == len(sent)
-    assert repair([path], path)[1] is None, "nothing is to be repaired"
+    assert repair([path], path)[1] is None, "no repair needed"
 
 
 def test_two_episodes_are_not_made_one(tmp_path: Path) -> None:

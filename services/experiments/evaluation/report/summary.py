@@ -57,14 +57,12 @@ class Success:
     ----------
     spl
         Success weighted by path length (Anderson et al. 2018). The expert's route counts as
-        shortest,
-        so a robot that cuts its corners has 1. None for kidnapped robots.
+        shortest, so a robot that cuts its corners has 1. None for kidnapped robots.
     aside_rms_m, aside_max_m
         Distance from the taught ways, over all frames of all searches.
     clearance_p5_m
         Mean over searches of the 5th percentile over frames of the distance from the robot's side
-        to
-        the nearest obstacle or person.
+        to the nearest obstacle or person.
     turns_per_m
         Starts of a turn, per metre driven.
     jerk_m_s3
@@ -74,8 +72,7 @@ class Success:
         without success.
     interventions_per_km
         Searches that a person would have to end or correct (all but found, and a correct "not
-        here"),
-        per kilometre driven.
+        here"), per kilometre driven.
     wrong_share
         Share of frames with a confident and wrong position.
     right_soon

@@ -56,7 +56,7 @@ def test_files_of_spreadsheets_are_read(tmp_path: Path) -> None:
     ("content", "message"),
     [
         (b"", "line 1: needs the column query once; the columns are ''"),
-        (HEADER.encode() + b"0,,\n", "no query has a reference, so that there is nothing to find"),
+        (HEADER.encode() + b"0,,\n", "no query has a reference; nothing to find"),
         (
             b"query,reference_first\n0,1\n",
             "line 1: needs the column reference_last once; the columns are 'query,ref",
