@@ -204,7 +204,7 @@ def check_served(robots: Sequence[str], shared: Mapping[str, Mapping[str, Sequen
     if unserved:
         raise JobError(
             f"not served: {', '.join(unserved)}; start an instance, or see /healthz of the "
-            "running ones (--metrics-port)"
+            "running ones (--http)"
         )
 
 

@@ -74,7 +74,7 @@ class SourceScale:
     turn_rate: Annotated[
         float | None, Option(metavar="RAD_S", help="Turn rate of value 1 in radians per second.")
     ] = None
-    quantile: Annotated[float, Option(help="Share of moving samples above the nominal speed.")] = (
+    quantile: Annotated[float, Option(help="Share of moving samples below the nominal speed.")] = (
         QUANTILE
     )
     still: Annotated[

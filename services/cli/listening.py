@@ -37,7 +37,7 @@ Keys = Annotated[
     ),
 ]
 Seconds = Annotated[
-    float, Option(min=0.1, max=3600, help="Duration, seconds. [default: until Ctrl-C]")
+    float, Option(min=0.1, max=3600, help="Duration, seconds; Ctrl-C ends earlier.")
 ]
 
 

@@ -167,7 +167,7 @@ class Simulator:
     camera: CameraSize = None
     shake: Annotated[
         float | None,
-        Option(min=0, max=10, help="Exposure of the camera, EV. [default: 1 indoors, else 0]"),
+        Option(min=0, max=10, help="Strength of the camera shake. [default: 1 indoors, else 0]"),
     ] = None
     base: Base = None
     variation: Annotated[

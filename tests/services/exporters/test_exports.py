@@ -172,8 +172,8 @@ def test_without_odometry_velocities_are_what_the_user_says(tmp_path: Path) -> N
         exported([file], "rosbag2", tmp_path / "none", speed=0.5)
     nominal, _ = exported([file], "rosbag2", tmp_path / "out", speed=0.5, turn_rate=1.0)
     assert (nominal.speed.origin, nominal.turn_rate.origin) == (
-        "as --speed says",
-        "as --turn-rate says",
+        "given by --speed",
+        "given by --turn-rate",
     )
     (back,) = brought_back(tmp_path / "out/drive", "rosbag2", tmp_path / "back")
     assert list(atoms_of(back).values()) == list(MADE)
@@ -192,7 +192,7 @@ def test_drives_with_and_without_odometry_are_in_one_folder_and_one_data_set(
     assert [bool(episode.odometry) for episode in back] == [True, False]
     _, tally = exported(files, "lerobot", tmp_path / "set")
     assert (
-        f"{FRAMES} of {2 * FRAMES} frames lack odometry: there is no observation.state"
+        f"{FRAMES} of {2 * FRAMES} frames lack odometry; observation.state is left out"
         in tally.lines()
     )
 

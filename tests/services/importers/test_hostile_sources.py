@@ -218,7 +218,7 @@ def test_a_number_of_a_tub_that_is_none_is_counted(field: str, tmp_path: Path) -
         ('"fps": 20', '"fps": 0', "fps: "),
         ('"fps": 20', '"fps": 1e400', "fps: "),
         ('"chunks_size": 1000', '"chunks_size": 0', "chunks_size: "),
-        ('"theta.vel"', '"elbow"', "neither action nor observation.state"),
+        ('"theta.vel"', '"elbow"', "no linear and angular velocity of a base in action or observation.state"),
         ('"video"', '"float32"', "0 cameras (none)"),
         ('"features"', '"feature"', "features: Field required"),
         (f'"{CAMERA}"', '"../../../../secret"', "lacks the column"),
@@ -381,7 +381,7 @@ def test_a_packed_message_that_unpacks_to_all_memory_is_named(tmp_path: Path) ->
         ("image,time_s\n", "lacks the columns angular_rad_s, linear_m_s"),
         ("image,time_s,linear_m_s,angular_rad_s\n", "no row has"),
         ("image,time_s,linear_m_s,angular_rad_s\n" + "x" * 2_000_000, "line too long (more than"),
-        ('image,time_s,linear_m_s,angular_rad_s\n"' + ("x" * 900 + "\n") * 900, "no CSV"),
+        ('image,time_s,linear_m_s,angular_rad_s\n"' + ("x" * 900 + "\n") * 900, "not CSV"),
         (
             "image,time_s,linear_m_s,angular_rad_s\n0.jpg,nan,1,0\n0.jpg,0,inf,0\n0.jpg,1e999,1,0\n",
             "no row has",
@@ -410,5 +410,5 @@ def test_a_folder_of_bags_and_a_recording_of_our_own_are_no_bag(tmp_path: Path) 
     )
     report, _ = imported(bag, "rosbag2", tmp_path / "recordings")
     said = refused(Path(report.files[0]), "rosbag2", tmp_path)
-    assert "it has: none; " in said
+    assert "among none; " in said
     assert "unsupported encoding json of topics, not ROS 2's CDR" in said
