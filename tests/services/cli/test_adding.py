@@ -67,7 +67,7 @@ def test_model_learns_when_runs_have_images_of_another_size(tmp_path: Path, smal
     file = corridor.save_model(tmp_path / "way.smal")
     status, _, err = smal("learn", recorded(tmp_path / "runs", 4, scale=2), "--add", "--out", file)
     assert status == 0, err
-    assert "images of 128x96, and the model has 64x48; all are resized" in err
+    assert "images of 128x96 differ from 64x48 in the model; all are resized" in err
     assert "map extended with new view variants" in err
 
 
@@ -146,7 +146,7 @@ def test_what_cannot_learn_more_is_named(
     assert (status, out, "two runs or more" in err.splitlines()[-1]) == (1, "", True)
     other = record(tmp_path, list(run("elsewhere", 0.0, "dock")))
     _, _, err = smal("learn", one, other, "--add", "--out", file)
-    assert "elsewhere is left out: the model has no goal dock" in err
+    assert "elsewhere: left out: the model has no goal dock" in err
     assert "two runs or more" in err.splitlines()[-1]
     assert "--add" in mistake(2, "learn", runs, "--add", "--out", file, "--modalities", "hog")
     corridor.paper_model().save(file)
