@@ -76,7 +76,7 @@ def test_check_names_what_is_wrong(keys: Path, smal: Smal, tmp_path: Path) -> No
     assert status == 1
     said = {line.split()[1].partition(".")[0]: line for line in out.splitlines()}
     for role, words in {
-        "features": "expired on", "policy": "issued for operator, not for policy", "robot": "be a router",
+        "features": "expired on", "policy": "issued for operator, not for policy", "robot": "act as a router",
         "router": "does not let its holder act as a router", "tracker": "not signed by an authority in ca.pem",
         "recorder": "key belongs to another certificate", "console": "readable by other users",
         "recognition": "cannot be read",
