@@ -269,7 +269,7 @@ def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
         "killed-2.mcap",
         "killed.mcap",
     ]
-    assert f"sealed {tmp_path}/killed.mcap, which was left behind" in log
+    assert f"sealed {tmp_path}/killed.mcap, left by a killed recorder" in log
     assert contents(tmp_path / "before.mcap") == wanted(before)
     assert contents(tmp_path / "killed.mcap") == wanted(killed[:50])
     assert contents(tmp_path / "killed-2.mcap") == wanted(killed)
