@@ -2,9 +2,9 @@
 
 A keyframe is a taught frame with virtual views of its place from beside and turned (`smal.camera.Scene`). Keyframes are
 a fifth of the correlation length apart, so that a view hardly changes between two of them. The correlation length is
-the way after which the mean cosine of two views is half way to the cosine of unrelated views. No length is in ticks: the map is independent of the speed and
-of the frame rate. Views are stored as principal components, so that thousands of them fit into the time of a decision.
-`smal.teaching.mapping` builds the map from drives.
+the way after which the mean cosine of two views is half way to the cosine of unrelated views. No length is in ticks:
+the map is independent of the speed and of the frame rate. Views are stored as principal components, so that thousands
+of them fit into the time of a decision. `smal.teaching.mapping` builds the map from drives.
 """
 
 import math

@@ -1,1 +1,1 @@
-"""The ``smal`` command, one file a verb."""
+"""The ``smal`` command; each subcommand has its own module."""

@@ -1,4 +1,4 @@
-"""``smal learn --add``: a model learns from its own runs; versions of it are kept, and `smal model back` goes back."""
+"""``smal learn --add``: extend a model with its own runs and keep its earlier versions."""
 
 import shutil
 from collections.abc import Callable
@@ -15,9 +15,8 @@ from services.recordings.dataset import Teacher
 from smal.model import Model
 from smal.teaching.living import Verdict, lived, whole_runs
 
-_KEPT: Final = (
-    10  # Earlier versions of a model that lie beside it, as NAME.smal.1 and so on, at most.
-)
+# Maximum number of earlier versions beside a model (NAME.smal.1, NAME.smal.2 …).
+_KEPT: Final = 10
 
 
 def versions(path: Path) -> list[Path]:
@@ -31,7 +30,7 @@ def versions(path: Path) -> list[Path]:
 
 
 def keep(path: Path) -> Path:
-    """Copy a model to a version of its own, and delete the oldest of too many."""
+    """Save a copy of a model as its newest version; delete the oldest above the maximum."""
     before = versions(path)
     number = int(before[-1].name.rpartition(".")[2]) + 1 if before else 1
     kept = path.with_name(f"{path.name}.{number}")
@@ -43,11 +42,11 @@ def keep(path: Path) -> Path:
 
 
 def back(path: Path) -> Path:
-    """Put the newest earlier version in the place of a model, and return its path; UsageError if it is no model."""
+    """Restore the newest earlier version of a model and return the path of that version."""
     before = versions(path)
     if not before:
-        raise UsageError(f"{path}: no earlier version lies beside it")
-    # A version that is truncated, or a link to somewhere else, must not replace a model that works.
+        raise UsageError(f"{path}: earlier version not found")
+    # A truncated version or a symbolic link must not replace a working model.
     if before[-1].is_symlink():
         raise UsageError(
             f"{before[-1]}: invalid version: a symbolic link; delete it to go back further"
@@ -58,17 +57,19 @@ def back(path: Path) -> Path:
 
 
 def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]) -> dict[str, Any]:
-    """Have the model at a path learn from runs; return what is said of that."""
-    model = options.loaded(path, "--out ", "; with --add it is the model that learns more")
+    """Extend the model at a path with runs and return the lines of the report."""
+    model = options.loaded(path, "--out ", "; with --add it is the model to extend")
     if not isinstance(model, Model):
-        raise UsageError(f"--out {path}: a model of the paper's scheme does not learn from runs")
+        raise UsageError(
+            f"--out {path}: unsupported: a model of the paper's scheme cannot learn from runs"
+        )
     teacher = Teacher(model.feature_settings, 2, include_runs=True, taught=model.mapped.size)
     teaching = teacher.read_all(files, bar)
     remark(teaching.remarks)
     every = whole_runs(teaching.demonstrations)
     goals = model.mapped.goals
     remark(
-        f"{run.name} is left out: the model has no goal {run.goal}"
+        f"{run.name}: left out: the model has no goal {run.goal}"
         for run in every
         if run.goal not in goals
     )
@@ -93,11 +94,12 @@ def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]
 
 def _words(verdict: Verdict) -> str:
     if not verdict.stretches:
-        return "no view surprised where the place was sure: the map stays as it was"
-    told = f"{verdict.gain:+.2f} of evidence a frame, at least {verdict.least:+.2f}, over {verdict.stretches} stretches"
-    if verdict.better:
-        return f"the map has more looks now: {told}"
-    wrong = f", and it would say {verdict.false_goals} times too early that it has arrived" * (
-        verdict.false_goals > 0
+        return "map unchanged: no unexpected view at a certain place"
+    told = (
+        f"{verdict.gain:+.2f} of evidence a frame (minimum {verdict.least:+.2f}) over "
+        f"{verdict.stretches} stretches"
     )
-    return f"the map stays as it was, since the other runs do not show that more looks do no harm: {told}{wrong}"
+    if verdict.better:
+        return f"map extended with new view variants: {told}"
+    wrong = f", {verdict.false_goals} early arrivals" * (verdict.false_goals > 0)
+    return f"map unchanged: the held-back runs do not confirm the new view variants: {told}{wrong}"

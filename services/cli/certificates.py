@@ -1,4 +1,4 @@
-"""Certificates of a robot's bus: one of each role, signed by an authority of the robot's own."""
+"""Certificates of a robot's bus, one for each role, signed by the robot's own authority."""
 
 import ipaddress
 import os
@@ -23,32 +23,34 @@ from services.kit.errors import UsageError
 from services.table import roles
 
 CA_KEY_FILE: Final = "ca.key"
-CA_DAYS: Final = 3650.0  # An authority must outlive what it signs; a robot is not used for longer.
-DAYS: Final = 365.0  # A certificate that was stolen unnoticed is of no use after a year.
-SKEW: Final = timedelta(minutes=5)  # Clocks of two machines may differ.
-SOON: Final = timedelta(days=30)  # So long before its end a certificate is named by `check`.
+# An authority must outlive its certificates; ten years exceed a robot's life.
+CA_DAYS: Final = 3650.0
+DAYS: Final = 365.0  # A stolen certificate expires within a year.
+SKEW: Final = timedelta(minutes=5)  # Clock difference between two machines.
+SOON: Final = timedelta(days=30)  # `check` reports certificates that expire within this time.
 HOSTS: Final = (
     "localhost",
     "127.0.0.1",
     "::1",
     "router",
-)  # By these the router's own machine goes to it, and compose.
+)  # Names by which the router's own machine and compose reach the router.
 ROUTER: Final = "router"
-#: Name of a host: labels of at most 63 letters, digits and hyphens (RFC 1123); of another alphabet as ``xn--``.
+#: Name of a host: labels of at most 63 letters, digits and hyphens (RFC 1123); other alphabets as
+#: ``xn--``.
 _LABEL: Final = r"[A-Za-z0-9](?:[A-Za-z0-9_-]{0,61}[A-Za-z0-9])?"
 _HOST_PATTERN: Final = rf"{_LABEL}(?:\.{_LABEL})*"
 _PEM: Final = serialization.Encoding.PEM
 
 
 class Authority(NamedTuple):
-    """Who signs."""
+    """The certificate authority that signs."""
 
     certificate: x509.Certificate
     key: ec.EllipticCurvePrivateKey
 
 
 class Finding(NamedTuple):
-    """What `check` found of one file."""
+    """The result of `check` for one file."""
 
     file: str
     ok: bool
@@ -56,21 +58,22 @@ class Finding(NamedTuple):
 
 
 def begin(folder: Path, robot: str) -> None:
-    """Make an authority beside those that are there, which stay known; OSError when the folder cannot be written to."""
+    """Create a new authority and keep the existing ones as trusted."""
     key = ec.generate_private_key(ec.SECP256R1())
-    name = f"smal {robot} {secrets.token_hex(4)}"  # Named apart: of two only the one that has signed is tried.
+    # A name of its own: of two authorities with one name, TLS tries only one.
+    name = f"smal {robot} {secrets.token_hex(4)}"
     certificate = _signed(
         name, _name(name), key.public_key(), key, CA_DAYS, x509.BasicConstraints(True, 0), _CA_USAGE
     )
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     known = (folder / CA_FILE).read_bytes() if (folder / CA_FILE).exists() else b""
-    # Known before it signs: whoever interrupts this is left with an authority that has its key.
+    # Trusted before it signs: after an interruption the authority still has its key.
     _write(folder / CA_FILE, certificate.public_bytes(_PEM) + known, mode=0o644)
     _write(folder / CA_KEY_FILE, _pem_of(key))
 
 
 def issue(folder: Path, hosts: Iterable[str], days: float = DAYS) -> None:
-    """Make a certificate of every role, and the engine's, in place of the last; UsageError where nobody signs."""
+    """Issue new certificates for every role and the engine."""
     authority = read_authority(folder)
     for role in (*roles(), ENGINE):
         key = ec.generate_private_key(ec.SECP256R1())
@@ -92,7 +95,7 @@ def certificate_of(
     hosts: Iterable[str],
     days: float,
 ) -> x509.Certificate:
-    """Return a certificate of a role; with hosts it is a router's as well."""
+    """Issue the certificate of a role; with hosts, it is valid for a router as well."""
     names = dict.fromkeys([x509.DNSName(role), *map(_general_name, hosts)])
     uses = [
         ExtendedKeyUsageOID.CLIENT_AUTH,
@@ -107,19 +110,20 @@ def certificate_of(
 
 
 def check_host(host: str) -> str:
-    """Return a host's name or address; raises UsageError when it is none."""
+    """Check the name or address of a host and return it."""
     try:
         ipaddress.ip_address(host)
     except ValueError:
         if re.fullmatch(_HOST_PATTERN, host) is None:
             raise UsageError(
-                f"--host {printable(host)!r}: neither a name, in ASCII, nor an address"
+                f"--host {printable(host)!r}: invalid: neither a host name in ASCII nor an IP "
+                "address"
             ) from None
     return host
 
 
 def names_of_router(folder: Path) -> list[str]:
-    """Return the names in the router's certificate, none without one; UsageError when its file is no certificate."""
+    """Return the host names in the router's certificate, or () without a certificate."""
     path = folder / f"{ROUTER}{CERTIFICATE_SUFFIX}"
     if not path.exists():
         return []
@@ -128,22 +132,28 @@ def names_of_router(folder: Path) -> list[str]:
         found = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName)
     except (OSError, ValueError, x509.ExtensionNotFound):
         raise UsageError(
-            f"{path}: no certificate to take names from; delete it and give them with --host"
+            f"{path}: not a certificate; delete it and give the names with --host"
         ) from None
     return [str(name.value) for name in found.value]
 
 
 def robot_of(authority: Authority) -> str:
-    """Return whose bus an authority is for; UsageError where `smal secure init` has not made it."""
+    """Return the robot that an authority was created for."""
     name = authority.certificate.subject.rfc4514_string()
     found = re.fullmatch(r"CN=smal (\S+) \w+", name)
     if found is None:
-        raise UsageError(f"{CA_FILE} is of {name}, and not of `smal secure init`")
+        raise UsageError(f"{CA_FILE}: belongs to {name}; not created by `smal secure init`")
     return found[1]
 
 
 def retire(folder: Path) -> int:
-    """Forget all authorities but the newest; return how many. UsageError when a certificate would be of no use then."""
+    """Remove all authorities but the newest and return their number.
+
+    Raises
+    ------
+    UsageError
+        If a certificate is signed by an authority to remove.
+    """
     newest = read_authority(folder).certificate
     for one in _of_roles(folder, [newest]):
         if not one.ok:
@@ -154,24 +164,24 @@ def retire(folder: Path) -> int:
 
 
 def read_authority(folder: Path) -> Authority:
-    """Read the authority that signs, the one whose key is in the folder; UsageError where there is no such pair."""
+    """Read the authority whose key is in the folder."""
     path = folder / CA_KEY_FILE
     authorities = _authorities(folder)
     try:
         key = _read_key(path)
     except (OSError, ValueError) as error:
-        raise UsageError(f"{path}, which signs: {_why(error)}") from None
+        raise UsageError(f"{path}: cannot sign: {_why(error)}") from None
     for authority in authorities:
         if (
             isinstance(key, ec.EllipticCurvePrivateKey)
             and key.public_key() == authority.public_key()
         ):
             return Authority(authority, key)
-    raise UsageError(f"{path} is the key of no authority in {folder / CA_FILE}")
+    raise UsageError(f"{path}: key of no authority in {folder / CA_FILE}")
 
 
 def require(folder: Path, needed: Iterable[str]) -> None:
-    """Check the authorities in a folder, and some roles' certificates; raises UsageError when one is of no use."""
+    """Check the authorities and the certificates of some roles; raise UsageError if one is invalid."""
     files = {CA_FILE, *(f"{role}{CERTIFICATE_SUFFIX}" for role in needed)}
     for one in check(folder):
         if one.file in files and not one.ok:
@@ -179,7 +189,7 @@ def require(folder: Path, needed: Iterable[str]) -> None:
 
 
 def check(folder: Path) -> Iterator[Finding]:
-    """Look at every certificate in a folder; raises UsageError when it has no authority."""
+    """Check every certificate in a folder."""
     authorities = _authorities(folder)
     for k, authority in enumerate(authorities):
         name = CA_FILE if k == 0 else f"{CA_FILE}, older"
@@ -203,7 +213,7 @@ def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tupl
         certificate = x509.load_pem_x509_certificate(path.read_bytes())
         key = _read_key(key_path)
     except (OSError, ValueError) as error:
-        return False, f"it or its key cannot be read: {_why(error)}"
+        return False, f"certificate or key cannot be read: {_why(error)}"
     names = [
         str(one.value) for one in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     ]
@@ -213,16 +223,16 @@ def _verdict(path: Path, role: str, authorities: list[x509.Certificate]) -> tupl
     faults = (
         (
             names != [role],
-            f"it is the certificate of {', '.join(names) or 'nobody'}, not of {role}",
+            f"issued for {', '.join(names) or 'no role'}, not for {role}",
         ),
         (
             not any(_has_signed(one, certificate) for one in signers),
-            f"no authority in {CA_FILE} has signed it",
+            f"not signed by an authority in {CA_FILE}",
         ),
-        (key.public_key() != certificate.public_key(), "its key is another certificate's"),
-        (bool(open_to), f"its key {open_to}"),
-        (is_router and role != ROUTER, "it lets its holder be a router"),
-        (role == ROUTER and not is_router, "it does not let its holder be a router"),
+        (key.public_key() != certificate.public_key(), "key belongs to another certificate"),
+        (bool(open_to), f"key {open_to}"),
+        (is_router and role != ROUTER, "invalid: lets its holder act as a router"),
+        (role == ROUTER and not is_router, "invalid: does not let its holder act as a router"),
     )
     return next(((False, text) for wrong, text in faults if wrong), _validity(certificate))
 
@@ -236,7 +246,7 @@ def _is_router(certificate: x509.Certificate) -> bool:
 
 def _open_to_others(secret: Path) -> str:
     return (
-        f"can be read by others; run: chmod 600 {secret}" if secret.stat().st_mode & 0o077 else ""
+        f"readable by other users; run: chmod 600 {secret}" if secret.stat().st_mode & 0o077 else ""
     )
 
 
@@ -244,14 +254,15 @@ def _validity(certificate: x509.Certificate, remedy: str = "renew") -> tuple[boo
     now = datetime.now(UTC)
     end = certificate.not_valid_after_utc
     if now > end:
-        return False, f"it expired on {end:%Y-%m-%d %H:%M} UTC; run: smal secure {remedy}"
+        return False, f"expired on {end:%Y-%m-%d %H:%M} UTC; run: smal secure {remedy}"
     if now < certificate.not_valid_before_utc:
         return (
             False,
-            f"it is valid from {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC on; is this clock right?",
+            f"not valid before {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC; check "
+            "this machine's clock",
         )
     return True, f"valid until {end:%Y-%m-%d}" + (
-        f": soon; run: smal secure {remedy}" if end - now < SOON else ""
+        f" (soon); run: smal secure {remedy}" if end - now < SOON else ""
     )
 
 
@@ -262,7 +273,7 @@ def _has_signed(authority: x509.Certificate, certificate: x509.Certificate) -> b
     return False
 
 
-#: An authority signs, and nothing else.
+#: An authority only signs.
 _CA_USAGE: Final = x509.KeyUsage(
     key_cert_sign=True, crl_sign=True, digital_signature=False, content_commitment=False, key_encipherment=False,
     data_encipherment=False, key_agreement=False, encipher_only=False, decipher_only=False,
@@ -295,9 +306,9 @@ def _authorities(folder: Path) -> list[x509.Certificate]:
     try:
         return x509.load_pem_x509_certificates(path.read_bytes())
     except OSError as error:
-        raise UsageError(f"{path}: {_why(error)}; `smal secure init` makes it") from None
+        raise UsageError(f"{path}: {_why(error)}; create it with `smal secure init`") from None
     except ValueError:
-        raise UsageError(f"{path}: no certificate") from None
+        raise UsageError(f"{path}: not a certificate") from None
 
 
 def _why(error: OSError | ValueError) -> str:
@@ -316,11 +327,11 @@ def _general_name(host: str) -> x509.GeneralName:
 
 
 def _read_key(path: Path) -> PrivateKeyTypes:
-    """Read a private key; ValueError says that it is none, or encrypted."""
+    """Read an unencrypted private key."""
     try:
         return serialization.load_pem_private_key(path.read_bytes(), None)
     except (TypeError, ValueError, UnsupportedAlgorithm):
-        raise ValueError("no private key, or an encrypted one") from None
+        raise ValueError("not a private key, or encrypted") from None
 
 
 def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:
@@ -328,7 +339,7 @@ def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 
 def _write(path: Path, content: bytes, mode: int = 0o600) -> None:
-    """Replace a file at once; a secret is nobody else's at any moment."""
+    """Replace a file atomically; a secret is readable by its owner only from the start."""
     new = path.with_name(f".{path.name}.new")
     new.unlink(missing_ok=True)
     try:

@@ -1,7 +1,8 @@
-"""Become a program that is told to stop when the process that started it dies, however that one dies.
+"""Run a program that is terminated when the process that started it dies.
 
-A script of the standard library alone, ``python child.py PARENT COMMAND...``: it starts in a moment, and asking the
-kernel here, rather than between fork and exec of the parent, cannot deadlock on a lock of the parent's threads.
+The script uses the standard library alone: ``python child.py PARENT COMMAND...``. It starts fast.
+The kernel call
+happens after exec, because between fork and exec it can deadlock on a lock of the parent's threads.
 """
 
 import ctypes
@@ -9,23 +10,22 @@ import os
 import signal
 import sys
 
-PR_SET_PDEATHSIG = (
-    1  # From <linux/prctl.h>; it outlives exec, and is about the thread that started the process.
-)
+# From <linux/prctl.h>; it survives exec and applies to the thread that started the process.
+PR_SET_PDEATHSIG = 1
 
 
 def tied(*command: str) -> list[str]:
-    """Return the command that runs another one for as long as this process lives."""
+    """Return a command that is terminated together with this process."""
     return [sys.executable, "-I", "-S", __file__, str(os.getpid()), *command]
 
 
 def main() -> None:
-    """Tie this process to its parent, then become the command."""
+    """Tie this process to its parent, then execute the command."""
     parent, *command = sys.argv[1:]
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, ctypes.c_ulong(signal.SIGTERM))
         if os.getppid() != int(parent):
-            sys.exit("the process that wanted this service has died")
+            sys.exit("the parent process has ended")
     os.execv(command[0], command)  # noqa: S606 - the command is Stack's own
 
 

@@ -1,4 +1,4 @@
-"""``smal demonstrate``: the scripted expert drives, the recorder writes."""
+"""``smal demonstrate``: record drives of the scripted expert."""
 
 from contextlib import closing
 from pathlib import Path
@@ -24,22 +24,28 @@ from smal.files.container import write_whole
 def demonstrate(
     *,
     world: options.World = None,
-    episodes: Annotated[int, Option(min=0, help="Full drives from the start to the victim.")] = 1,
+    episodes: Annotated[
+        int, Option(min=0, help="Number of full drives from the start to the goal.")
+    ] = 1,
     recoveries: Annotated[
-        int, Option(min=0, help="Paper: short drives from beside the route back to it.")
+        int,
+        Option(
+            min=0,
+            help="Number of short drives from beside the route back to it, for the paper's scheme.",
+        ),
     ] = 0,
     seed: options.Seed = 1,
     goal: options.GoalOfDrives = "victim",
-    out: Annotated[Path, Option(help="Folder for the recordings, one MCAP file a drive.")] = Path(
+    out: Annotated[Path, Option(help="Folder for the recordings, one MCAP file per drive.")] = Path(
         "recordings"
     ),
     simulator: options.Simulator,
     stack: options.RunOptions,
 ) -> None:
-    """Have the scripted expert demonstrate the search, and record it.
+    """Record demonstrations of the search, driven by a scripted expert.
 
-    Without --connect a stack of its own is started for the purpose, and ended after it. Episode k of a kind uses the
-    seed SEED + k, so the same command makes the same drives.
+    Without --connect the command starts a stack and stops it at the end. Drive k of each kind uses
+    the seed SEED + k, so the same command reproduces the same drives.
 
     Example: smal demonstrate --world campus --seed 1 --out drives
     """
@@ -106,5 +112,6 @@ def _complain(record: EpisodeRecord) -> None:
     outcome = record.outcome
     if outcome == "collision" or (purpose == "drive" and outcome != "found"):
         tqdm.write(
-            f"warning: {purpose} with seed {record.request.seed} ended as {outcome}; smal learn leaves it out"
+            f"warning: {purpose} with seed {record.request.seed} ended as {outcome}; smal "
+            "learn ignores it"
         )

@@ -1,4 +1,4 @@
-"""``smal doctor``: try everything that SMAL needs of this machine; each check says what it found, or what to do."""
+"""``smal doctor``: check the requirements of SMAL on this machine."""
 
 import json
 import shutil
@@ -30,13 +30,15 @@ from services.kit.settings import ServiceSettings, fleet
 from services.table import stack_services
 
 PYTHONS: Final = ((3, 11), (3, 13))
-DISK_GB: Final = 2.0  # Recordings of a full set of drives, with room for the reports.
+DISK_GB: Final = 2.0  # A full set of drives, with room for the reports.
 RENDER_TIMEOUT_S: Final = 120.0
 MESSAGE_TIMEOUT_S: Final = 5.0
 
 
 def doctor(*, as_json: options.Json = False, reach: options.Reach) -> None:
-    """Check rendering, Zenoh, the router's port, Python and disk space; says what to install.
+    """Check rendering, Zenoh, the router's port, Python and disk space.
+
+    Each problem comes with its remedy. The exit status is 1 if there is a problem.
 
     Example: smal doctor
     """
@@ -70,24 +72,24 @@ class _ProbeAnswer(Strict):
 
 
 def check_python() -> str:
-    """Look at the version of Python."""
+    """Check the version of Python."""
     found = f"Python {sys.version_info[0]}.{sys.version_info[1]}"
     if not PYTHONS[0] <= sys.version_info[:2] <= PYTHONS[1]:
-        raise JobError(f"{found}; use 3.11, 3.12 or 3.13: python3.13 -m venv .venv")
+        raise JobError(f"{found}: unsupported; use 3.11, 3.12 or 3.13: python3.13 -m venv .venv")
     return found
 
 
 def check_rendering(
     command: tuple[str, ...] = (sys.executable, "-m", "services.simulator.scene.probe"),
 ) -> str:
-    """Render a tiny frame in a process of its own, which a broken driver may crash."""
+    """Render a tiny frame in a separate process, which a faulty driver can crash."""
     try:
         done = subprocess.run(  # noqa: S603
             command, capture_output=True, text=True, timeout=RENDER_TIMEOUT_S, check=False
         )
     except subprocess.TimeoutExpired:
         raise JobError(
-            f"no frame within {RENDER_TIMEOUT_S:.0f} s; try another Vulkan driver"
+            f"no frame after {RENDER_TIMEOUT_S:.0f} s; try another Vulkan driver"
         ) from None
     if done.returncode < 0:
         name = signal.Signals(-done.returncode).name
@@ -97,7 +99,7 @@ def check_rendering(
     try:
         answer = _ProbeAnswer.model_validate_json((done.stdout.strip().splitlines() or [""])[-1])
     except ValidationError:
-        reason = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
+        reason = (done.stderr.strip().splitlines() or ["no output"])[-1]
         raise JobError(f"the renderer failed: {reason}; install with deploy/setup.sh") from None
     if answer.error is not None:
         raise JobError(answer.error)
@@ -106,7 +108,7 @@ def check_rendering(
 
 
 def check_zenoh() -> str:
-    """Send a message from one client to another, through a router of this check's own."""
+    """Send a message between two clients through a temporary router."""
     endpoint = free_endpoint()
     arrived = threading.Event()
     message = Command(
@@ -123,18 +125,19 @@ def check_zenoh() -> str:
         sender, receiver = (stack.enter_context(closing(Bus("doctor", endpoint))) for _ in range(2))
         receiver.subscribe(topics.COMMANDS["teleop"], lambda *_sample: arrived.set())
         deadline_s = time.monotonic() + MESSAGE_TIMEOUT_S
-        # Until the subscription is known.
+        # Repeat until the subscription is active.
         while not arrived.wait(0.05):
             if time.monotonic() > deadline_s:
                 raise JobError(
-                    f"no message within {MESSAGE_TIMEOUT_S:.0f} s; does a firewall block 127.0.0.1?"
+                    f"no message after {MESSAGE_TIMEOUT_S:.0f} s; check that the firewall "
+                    "allows 127.0.0.1"
                 )
             sender.publish(message)
-    return "a message goes through a router"
+    return "message delivered through a router"
 
 
 def check_port(settings: ServiceSettings) -> str:
-    """Check that the router's port is free, or used by a running stack that lets this machine in."""
+    """Check that the router's port is free or used by a stack that accepts this machine."""
     endpoint = settings.router
     credentials = settings.credentials("watcher")
     check_credentials(endpoint, credentials)
@@ -142,16 +145,19 @@ def check_port(settings: ServiceSettings) -> str:
     if ",".join(free) == endpoint:
         return f"{endpoint} is free, {how_secure(credentials, *(host_and_port(address)[0] for address in free))}"
     if free:
-        raise JobError(f"no router at {', '.join(free)}, beside which others are: start it")
+        raise JobError(f"router not found at {', '.join(free)} while others run; start it")
     port = host_and_port(addresses(endpoint)[0])[1]
-    elsewhere = f"stop it if it should not be there (ss -ltnp 'sport = :{port}'), or set SMAL_ROUTER to another port"
+    elsewhere = (
+        f"stop that process (ss -ltnp 'sport = :{port}'), or set SMAL_ROUTER to another port"
+    )
     try:
         running, shared = _running(settings)
     except BusError as error:
         raise JobError(f"{error}; {elsewhere}") from None
     if not running:
         raise JobError(
-            f"{endpoint} is used by a Zenoh router without services of {settings.robot}; {elsewhere}"
+            f"{endpoint} is used by a Zenoh router without services of {settings.robot}; "
+            f"{elsewhere}"
         )
     stack = f"the running stack of {settings.robot}, {how_secure(credentials)}"
     found = [f"{endpoint} is used by {stack}: {', '.join(running)}"]
@@ -168,12 +174,12 @@ def _is_free(address: str) -> bool:
     except ConnectionRefusedError:
         return True
     except OSError as error:
-        raise JobError(f"{address}: {error}; give another with --router or SMAL_ROUTER") from None
+        raise JobError(f"{address}: {error}; choose another with --router or SMAL_ROUTER") from None
     return False
 
 
 def _running(settings: ServiceSettings) -> tuple[list[str], Instances]:
-    """Return the services that answer, and the instances of the shared services; check that these serve all robots."""
+    """Return the running services and instances; check that the instances serve all robots."""
     with closing(settings.open_bus("watcher", patience_s=1.0)) as bus:
         running = [service for service in stack_services() if answers(bus, service) is not None]
         shared = instances(bus)
@@ -185,9 +191,9 @@ def _running(settings: ServiceSettings) -> tuple[list[str], Instances]:
 
 
 def check_served(robots: Sequence[str], shared: Mapping[str, Mapping[str, Sequence[str]]]) -> None:
-    """Check that of the instances of each service one serves every robot; else a JobError.
+    """Check that each running shared service serves every robot.
 
-    A service without any instance is another machine's, or left out on purpose.
+    Services without any instance run on another machine, or are left out on purpose.
     """
     unserved = [
         f"{robot} by no instance of {service}"
@@ -197,16 +203,15 @@ def check_served(robots: Sequence[str], shared: Mapping[str, Mapping[str, Sequen
     ]
     if unserved:
         raise JobError(
-            f"not served: {', '.join(unserved)}; start one, or see /healthz of those that run (--http)"
+            f"not served: {', '.join(unserved)}; start an instance, or see /healthz of the "
+            "running ones (--http)"
         )
 
 
 def check_disk() -> str:
-    """Look how much room is left for recordings."""
+    """Check the free disk space for recordings."""
     folder = Path.cwd()
     free_gb = shutil.disk_usage(folder).free / 1e9
     if free_gb < DISK_GB:
-        raise JobError(
-            f"{free_gb:.1f} GB free in {folder}; make room for {DISK_GB:.0f} GB of recordings"
-        )
+        raise JobError(f"{free_gb:.1f} GB free in {folder}; recordings need {DISK_GB:.0f} GB")
     return f"{free_gb:.0f} GB free in {folder}"

@@ -27,23 +27,27 @@ from services.kit.errors import UsageError
 
 @dataclass(frozen=True)
 class PlanSize:
-    """How much is evaluated."""
+    """Extent of the evaluation."""
 
     quick: Annotated[
         bool, Option(help="Fewer drives, lengths and runs: 5 to 10 minutes on two idle cores.")
     ] = False
     world: Annotated[
-        str | None, Option(help="World of your own: SMAL and teach and repeat, one drive.")
+        str | None, Option(help="Custom world: SMAL and teach and repeat, one drive.")
     ] = None
     runs: Annotated[
-        int | None, Option(min=TAUGHT, max=1000, help=f"Searches, shared by {TAUGHT} drives.")
+        int | None,
+        Option(min=TAUGHT, max=1000, help=f"Number of searches, shared by {TAUGHT} drives."),
     ] = None
     base: options.Base = None
 
     def plan(self, changes: options.Changes) -> EvaluationPlan:
-        """Return what is evaluated, with changes to each trial; UsageError if there is no such world."""
+        """Return the plan of the evaluation, with the changes of each trial."""
         if self.quick and self.world is not None:
-            raise UsageError("--quick: an evaluation of one's own world (--world) has one size")
+            raise UsageError(
+                "--quick: unsupported with --world; the evaluation of a custom "
+                "world has a fixed size"
+            )
         plan = PLANS["quick" if self.quick else "full"] if self.world is None else _of(self.world)
         changed = changes.other_than_taught
 
@@ -67,20 +71,22 @@ def evaluate(
     changes: options.Changes,
     at_work: options.AtWork,
     report_only: Annotated[
-        bool, Option("--report-only", help="Write only the page of the finished results.")
+        bool, Option("--report-only", help="Write only the page, from finished results.")
     ] = False,
 ) -> None:
-    """Run the paper's experiments in simulation, and write a page with their figures.
+    """Run the paper's experiments in simulation and write a page of results.
 
-    OUT/index.html shows everything and needs nothing beside it; the figures lie in OUT/figures, the numbers in
-    OUT/results.json. The whole evaluation takes about an hour on two idle cores. It is done in units: a drive, a model,
-    or the searches of one driver under one condition. It can be interrupted at any time: the same command goes on with
-    the units that are not done, and while it works another one with --report-only shows what there is so far.
+    OUT/index.html is a self-contained page. OUT/figures holds its figures and OUT/results.json the
+    numbers. The whole evaluation takes about an hour on two idle cores.
+
+    The work is done in units: a drive, a model, or the searches of one driver under one condition.
+    After an interruption, the same command continues with the remaining units. --report-only writes
+    a page of the finished units at any time.
 
     Example: smal evaluate --out evaluation --quick
     """
     if report_only and not out.is_dir():
-        raise UsageError(f"--out {out}: there is no such folder, and so nothing to report")
+        raise UsageError(f"--out {out}: folder not found")
     outputs.make_folder(out, "--out")
     plan = size.plan(changes)
     planned = units(plan)
@@ -98,5 +104,5 @@ def _complete(results: Results, planned: list[Unit], at_work: options.AtWork) ->
             results.complete(planned, engine, partial(bars, "units (drives, models, searches)"))
         except KeyboardInterrupt:
             bars.close()
-            remark(["stopping; the same command goes on from here"])
+            remark(["stopping; run the same command to continue"])
             raise

@@ -1,4 +1,4 @@
-"""``smal export``: recordings for other software."""
+"""``smal export``: convert recordings for other software."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,24 +17,38 @@ from services.recordings.dataset import find_recordings
 
 
 def export_recordings(
-    format_: Annotated[str, Argument(metavar="FORMAT", help=f"One of {', '.join(FORMATS)}.")],
-    recordings: Annotated[list[Path], Argument(help="Recordings, or folders of them.")],
-    out: Annotated[Path, Option(help="Folder to be made.")],
+    format_: Annotated[str, Argument(metavar="FORMAT", help=f"Format: {', '.join(FORMATS)}.")],
+    recordings: Annotated[list[Path], Argument(help="Recordings, or folders of recordings.")],
+    out: Annotated[Path, Option(help="New folder for the result.")],
     speed: Annotated[
-        float | None, Option(min=0, max=50, metavar="M_S", help="Forward. [default: odometry]")
+        float | None,
+        Option(
+            min=0,
+            max=50,
+            metavar="M_S",
+            help="Speed of the action forward. [default: from odometry]",
+        ),
     ] = None,
     turn_rate: Annotated[
-        float | None, Option(min=0, max=100, metavar="RAD_S", help="Left. [default: same]")
+        float | None,
+        Option(
+            min=0,
+            max=100,
+            metavar="RAD_S",
+            help="Turn rate of the action left. [default: from odometry]",
+        ),
     ] = None,
 ) -> None:
-    """Write recordings as other software reads them.
+    """Convert recordings to the format of other software.
 
-    rosbag2: in OUT a bag for each drive, as `ros2 bag record -s mcap` writes them and Foxglove shows them: images,
-    camera info, odometry, velocities on /cmd_vel, inertial measurements, tf. lerobot: one LeRobotDataset v3.0 with
-    video. folder: images and a drive.csv. What `smal import` reads of them is the drive again.
+    rosbag2: one bag per drive in OUT, as `ros2 bag record -s mcap` writes it (also for Foxglove),
+    with images, camera info, odometry, velocities on /cmd_vel, inertial measurements and tf.
+    lerobot: one LeRobotDataset v3.0 with video. folder: images and a drive.csv. `smal import`
+    restores the drives from each format.
 
-    Atoms become velocities: how fast a robot's atoms are is the median over its recordings by the wheels, and is said.
-    Features, beliefs and true poses are not exported. OUT appears when it is whole.
+    Actions become velocities. The speed and turn rate of a robot are the medians of its odometry
+    over all recordings, and are reported. Features, beliefs and true poses are not exported. OUT
+    appears only when the export is complete.
 
     Example: smal export rosbag2 drives --out bags
     """
@@ -43,7 +57,7 @@ def export_recordings(
     tally = Tally()
     try:
         with outputs.new_folder(out, "--out") as folder:
-            # disable=None: no bars in a log file or a pipe, where the remarks would drown in them.
+            # disable=None: a bar in a log file or a pipe hides the remarks.
             reading = bar_of(files, desc="reading", unit="file", disable=None)
             drives = read(reading, speed, turn_rate, tally)
             total = sum(len(drive.ticks) for drive in drives)

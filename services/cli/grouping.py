@@ -1,4 +1,4 @@
-"""How commands are given to Typer: in one style, and with options that several commands share."""
+"""Shared style of the commands, and options in dataclasses."""
 
 import inspect
 from collections.abc import Callable
@@ -6,7 +6,7 @@ from dataclasses import is_dataclass
 from functools import wraps
 from typing import Any, Final
 
-#: Of every group of commands.
+#: For every group of commands.
 STYLE: Final[dict[str, Any]] = {
     "no_args_is_help": True,
     "add_completion": False,
@@ -16,7 +16,7 @@ STYLE: Final[dict[str, Any]] = {
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command for Typer, which takes one option a parameter, the options of each dataclass that it takes."""
+    """Expand the dataclass parameters of a command into single options for Typer."""
     signature = inspect.signature(command, eval_str=True)
     taken = signature.parameters.items()
     groups: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""``smal import``: recordings that somebody has already, to teach from."""
+"""``smal import``: convert recordings of other software."""
 
 import json
 from collections.abc import Iterator
@@ -27,51 +27,61 @@ _WORK: Final = "services.importers.run:work"
 
 @dataclass(frozen=True)
 class Part:
-    """Which part of a source is imported, and what it shows; the fields are those of `ImportJob`."""
+    """Selected part of a source; the fields match `ImportJob`."""
 
     goal: options.GoalOfDrives = "victim"
     success: Annotated[
         bool | None, Option("--succeeded/--failed", help="Whether the drives reached the goal.")
     ] = None
     camera: Annotated[
-        str | None, Option(help="Topic of a bag, or feature of LeRobot, with the images.")
+        str | None, Option(help="Image topic of a bag, or image feature of LeRobot.")
     ] = None
     velocity: Annotated[str | None, Option(help="Source of the velocities; see above.")] = None
     episodes: Annotated[
         list[str] | None,
-        Option("--episode", help="Only this drive, by the source's name; may be repeated."),
+        Option("--episode", help="Name of a drive to import, as in the source; repeatable."),
     ] = None
     from_s: Annotated[
-        float, Option("--from", min=0, metavar="S", help="Omitted first seconds of each drive.")
+        float,
+        Option(
+            "--from", min=0, metavar="S", help="Start of each drive, seconds from its first frame."
+        ),
     ] = 0.0
     to_s: Annotated[
-        float, Option("--to", min=0, metavar="S", help="End of each drive.", show_default=False)
+        float,
+        Option(
+            "--to",
+            min=0,
+            metavar="S",
+            help="End of each drive, seconds from its first frame.",
+            show_default=False,
+        ),
     ] = 1e9
     robot: options.Robot = options.DEFAULT_ROBOT
 
 
 @dataclass(frozen=True)
 class SourceScale:
-    """What the values of a source mean; the fields are those of `ImportJob`."""
+    """Meaning of the values of a source; the fields match `ImportJob`."""
 
     rate_hz: Annotated[
         float | None,
-        Option("--rate", min=0.1, max=1000, metavar="HZ", help="Frames a second; see above."),
+        Option("--rate", min=0.1, max=1000, metavar="HZ", help="Frame rate; see above."),
     ] = None
     speed: Annotated[
-        float | None, Option(metavar="M_S", help="Metres a second of a speed of 1.")
+        float | None, Option(metavar="M_S", help="Speed of value 1 in metres per second.")
     ] = None
     turn_rate: Annotated[
-        float | None, Option(metavar="RAD_S", help="Radians a second of a turn rate of 1.")
+        float | None, Option(metavar="RAD_S", help="Turn rate of value 1 in radians per second.")
     ] = None
-    quantile: Annotated[
-        float, Option(help="Share of moving samples that nominal speed exceeds.")
-    ] = QUANTILE
-    still: Annotated[float, Option(help="Fraction of nominal below which the robot stands.")] = (
-        STILL
+    quantile: Annotated[float, Option(help="Share of moving samples below the nominal speed.")] = (
+        QUANTILE
     )
+    still: Annotated[
+        float, Option(help="Fraction of nominal values below which the robot stands.")
+    ] = STILL
     turning: Annotated[
-        float, Option(help="Fraction of the nominal turn rate from which on the robot turns.")
+        float, Option(help="Fraction of the nominal turn rate above which the robot turns.")
     ] = TURNING
     field_of_view_deg: Annotated[
         float | None,
@@ -83,45 +93,46 @@ class SourceScale:
             help="Horizontal field of view of the camera. [default: the source's]",
         ),
     ] = None
-    no_odometry: Annotated[bool, Option("--no-odometry", help="No odometry from velocities.")] = (
-        False
-    )
+    no_odometry: Annotated[
+        bool, Option("--no-odometry", help="Omission of odometry from velocities.")
+    ] = False
 
 
 def import_recordings(
     *,
-    format_: Annotated[str, Argument(metavar="FORMAT", help=f"One of {', '.join(FORMATS)}.")],
-    path: Annotated[
-        Path, Argument(metavar="PATH", help="The source: a folder, or of a bag the file.")
-    ],
-    out: Annotated[Path, Option(help="Folder for the recordings, one MCAP file a drive.")] = Path(
+    format_: Annotated[str, Argument(metavar="FORMAT", help=f"Format: {', '.join(FORMATS)}.")],
+    path: Annotated[Path, Argument(metavar="PATH", help="Folder of the source, or file of a bag.")],
+    out: Annotated[Path, Option(help="Folder for the recordings, one MCAP file per drive.")] = Path(
         "recordings"
     ),
     part: Part,
     scale: SourceScale,
     json_file: options.JsonFile = None,
 ) -> None:
-    """Make recordings that `smal learn` takes out of what somebody recorded with other software.
+    """Convert recordings of other software for `smal learn`.
 
-    rosbag2: a bag of ROS 2 (MCAP or SQLite) with images and Twist, TwistStamped or Odometry; a bag is one drive, and
-    several go into one OUT, each by an import of its own. lerobot: a LeRobotDataset (v2.0, v2.1, v3.0) of a base.
-    donkeycar: a tub of version 2. folder: images and a drive.csv with the columns image, time_s, linear_m_s,
-    angular_rad_s (and episode, success, x_m, y_m, heading_rad).
+    rosbag2: a ROS 2 bag (MCAP or SQLite) with images and Twist, TwistStamped or Odometry. A bag is
+    one drive; import several bags into one OUT one by one. lerobot: a LeRobotDataset (v2.0, v2.1,
+    v3.0) of a mobile base. donkeycar: a tub of version 2. folder: images and a drive.csv with the
+    columns image, time_s, linear_m_s, angular_rad_s (optional: episode, success, x_m, y_m,
+    heading_rad).
 
-    Unless the source or --failed says otherwise, drives reached the goal. --velocity is a bag's topic, or
-    LINEAR,ANGULAR of a LeRobot action. A speed of 1 is 1 m/s (of donkeycar unknown), a turn rate of 1 is 1 rad/s (of
-    x.vel and theta.vel a degree a second). --rate is for a source whose times are wrong.
+    Drives count as successful unless the source or --failed says otherwise. --velocity is the topic
+    of a bag, or LINEAR,ANGULAR of a LeRobot action. A speed of 1 means 1 m/s (donkeycar: unknown).
+    A turn rate of 1 means 1 rad/s (x.vel and theta.vel: 1 degree/s). --rate replaces wrong times of
+    a source.
 
-    Whatever rate the source has, a recording has 10 frames a second. Velocities become the atoms forward, backward,
-    left, right and stop by --still and --turning, fractions of the robot's own nominal speed and turn rate.
-    What does not fit is named, with its count. JPEG images stay as they are. No file outside of PATH is read.
+    Recordings have 10 frames per second at any source rate. Velocities become the actions forward,
+    backward, left, right and stop; --still and --turning set the limits as fractions of the robot's
+    nominal speed and turn rate. Omitted data are reported with their count. JPEG images are copied
+    unchanged. Files outside PATH are never read.
 
     Example: smal import donkeycar tub --rate 20 --to 25 --out drives
     """
     form = check_format(format_)
     outputs.check_file(json_file, "--json")
     if part.to_s <= part.from_s:
-        raise UsageError(f"--to {part.to_s:g}: is not after --from {part.from_s:g}")
+        raise UsageError(f"--to {part.to_s:g}: not after --from {part.from_s:g}")
     with outputs.workshop(out, "--out") as folder:
         asked = asdict(part) | asdict(scale) | {"episodes": tuple(part.episodes or ())}
         asked["reckon"] = not asked.pop("no_odometry")
@@ -142,7 +153,7 @@ def import_recordings(
 
 
 def _run(job: ImportJob) -> tuple[list[str], ImportReport]:
-    """Do the job in a process of its own; see `services.importers.run`."""
+    """Run the job in a separate process; see `services.importers.run`."""
     limits = WorkLimits.of_size(size_of(Path(job.path)), MOST_MEMORY)
     with closing(Bars("frame")) as bars:
 
@@ -164,7 +175,9 @@ def _lines(report: ImportReport, job: ImportJob, files: list[Path], out: Path) -
     yield f"drives        {len(files)} ({report.successes} reached {job.goal})"
     yield f"frames        {report.ticks} ({report.ticks / 10:.0f} s)"
     yield f"nominal       {report.speed:.3g} {units[0]}, {report.turn_rate:.3g} {units[1]}"
-    yield f"stands        below {job.still:g} of both; turns from {job.turning:g} of the turn rate on"
-    yield f"atoms         {made}"
+    yield (
+        f"stands        below {job.still:g} of both; turns above {job.turning:g} of the turn rate"
+    )
+    yield f"actions       {made}"
     yield f"odometry      {report.odometry}"
     yield f"recordings in {out}; next: smal learn {out} --out MODEL"

@@ -11,10 +11,10 @@ _ENDING: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 @contextmanager
 def interrupted_by_signals() -> Iterator[None]:
-    """Turn SIGTERM and SIGHUP into what Ctrl-C is, a KeyboardInterrupt, so that what was started is also stopped.
+    """Convert SIGTERM and SIGHUP to KeyboardInterrupt, so that children are stopped as well.
 
-    SIGHUP stays ignored where the command was started with ``nohup``. Only the first signal interrupts, so that the
-    stopping is not interrupted as well; Ctrl-C always does.
+    SIGHUP stays ignored under ``nohup``. Only the first signal interrupts, so that the cleanup can
+    finish; Ctrl-C always interrupts.
     """
     before = {number: signal.getsignal(number) for number in _ENDING}
 

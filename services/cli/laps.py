@@ -1,4 +1,4 @@
-"""``smal laps``: how well a robot recognizes other laps by one, as a page of results."""
+"""``smal laps``: evaluate place recognition on laps of a real robot."""
 
 from contextlib import closing
 from pathlib import Path
@@ -15,11 +15,12 @@ def laps(
     source: Annotated[Path, Argument(help="Tub of donkeycar, recording, or folder of recordings.")],
     out: Annotated[Path, Option(help="Folder for the results.")],
 ) -> None:
-    """Evaluate SMAL on laps of a real robot, and write a page of results.
+    """Evaluate place recognition on laps of a real robot and write a page of results.
 
-    One lap teaches SMAL, which estimates the place of each frame of all other laps, with and without odometry, beside
-    the nearest taught frame and teach and repeat. It needs three whole laps, which are found by recurring views, and
-    takes some minutes. OUT/index.html is the page, OUT/results.json has the numbers.
+    SMAL learns one lap and localizes each frame of the other laps, with and without odometry. The
+    page compares it with the nearest taught frame and with teach and repeat. The source needs three
+    whole laps, which are detected by recurring views. The command takes some minutes.
+    OUT/index.html is the page and OUT/results.json holds the numbers.
 
     Example: smal laps tub --out laps
     """

@@ -1,4 +1,4 @@
-"""``smal learn``: recordings in, a map of views out."""
+"""``smal learn``: learn a map of views from recordings."""
 
 import time
 from typing import Annotated, Any
@@ -13,30 +13,31 @@ from services.recordings.dataset import find_recordings
 from smal.model import Model
 from smal.teaching.mapping import learn as learn_map
 
-_SHORTEST = 2  # Frames without a gap that teach a way.
+_SHORTEST = 2  # Minimum length of a taught stretch without a gap, frames.
 
 
 def learn(
     *,
     lessons: Lessons,
     add: Annotated[
-        bool, Option("--add", help="Further learning of the model at --out, from its own runs.")
+        bool, Option("--add", help="Extension of the model at --out by its own runs.")
     ] = False,
     at_work: options.AtWork = options.HERE,
 ) -> None:
-    """Learn the taught ways from recorded drives: a map of views.
+    """Learn a map of views from recorded drives.
 
-    One drive that reached the victim is enough, by the scripted expert or by hand. Recovery drives, drives that did not
-    reach the victim, collisions, and the robot's own runs teach nothing. Each omission is reported on standard error.
-    Only camera, wheel odometry and applied commands are used, never true poses. The paper's model is learned by `smal
-    paper learn`.
+    One successful drive is enough, by the scripted expert or by a person. Recovery drives, failed
+    drives, collisions and the robot's own runs are left out; each omission is reported on standard
+    error. Only camera, wheel odometry and applied commands are used, never true poses. `smal paper
+    learn` learns the paper's model.
 
-    The features are computed from the recorded images; --modalities may name any but depth.
+    The features are computed from the recorded images; --modalities accepts all but depth.
 
-    With --add the model at --out learns from runs that found the victim, two or more: where the robot was sure of its
-    place though the view was unlike the taught one, the place gets a further look, four at most. Every second run is
-    kept back, and the new map taken only if these are no less likely under it. The one before is kept beside it as
-    MODEL.1 and so on; `smal model back MODEL` goes back.
+    With --add the model at --out is extended by two or more successful runs. If the robot was
+    certain of its place and the view was unexpected, the place gets a view variant (maximum four).
+    Every second run is held back; the extended map is kept only if the held-back runs are at least
+    as likely in it. The previous model stays beside it as MODEL.1; `smal model back MODEL` restores
+    it.
 
     Example: smal learn drives --out campus.smal
 
@@ -47,7 +48,7 @@ def learn(
     if add:
         if lessons.modalities is not None:
             raise UsageError(
-                "--modalities: with --add the model at --out has its own; leave them out"
+                "--modalities: unsupported with --add; the model at --out defines them"
             )
         with lessons.bars() as bars:
             added = add_runs(find_recordings(lessons.recordings), lessons.out, bars)
@@ -64,7 +65,7 @@ def learn(
 
 
 def _found(model: Model) -> dict[str, Any]:
-    """Return what was learned, for the report."""
+    """Return the rows of the report."""
     taught = model.mapped
     features = model.feature_settings
     found: dict[str, Any] = {
@@ -74,7 +75,7 @@ def _found(model: Model) -> dict[str, Any]:
         "goals": ", ".join(sorted(set(taught.goals))),
     }
     if features.describing != features.modalities:
-        # Where detectors are asked for, which of the things that they find is sought.
+        # If the model uses detectors, report the target object of each goal.
         labels = {goal: word.label for goal, word in model.words.items()}
         found["detected"] = {goal: labels.get(goal, "nothing") for goal in taught.goals}
     return found

@@ -1,4 +1,4 @@
-"""Options and steps that `smal learn` and `smal paper learn` share."""
+"""Options and steps shared by `smal learn` and `smal paper learn`."""
 
 import time
 from collections.abc import Iterator
@@ -22,36 +22,34 @@ from smal.files.container import ModelError
 
 @dataclass(frozen=True)
 class Lessons:
-    """Recordings, and where the model and its report go."""
+    """Recordings to learn from, and files of the result."""
 
-    recordings: Annotated[list[Path], Argument(help="Recordings (MCAP), or folders of them.")]
+    recordings: Annotated[list[Path], Argument(help="Recordings (MCAP), or folders of recordings.")]
     out: Annotated[Path, Option(help="File of the model.")]
     modalities: options.Modalities = None
     include_runs: Annotated[
         bool, Option(help="Successful runs of the robot as further drives.")
     ] = False
     json_file: options.JsonFile = None
-    progress: Annotated[
-        bool, Option("--progress", help="Progress as lines of JSON, for a program.")
-    ] = False
+    progress: Annotated[bool, Option("--progress", help="Progress as lines of JSON.")] = False
 
     def check(self) -> None:
-        """Check the paths of the results before any recording is read."""
+        """Check the output paths before any recording is read."""
         if self.out.is_dir():
             example = self.out / "model.smal"
             raise UsageError(
-                f"--out {self.out}: is a folder; give the name of a file, for example {example}"
+                f"--out {self.out}: is a folder; choose a file name, for example {example}"
             )
         outputs.check_file(self.json_file, "--json")
 
     @contextmanager
     def bars(self) -> Iterator[Bars]:
-        """Show progress."""
+        """Show progress bars, or lines of JSON with --progress."""
         with closing(Bars(as_json=self.progress)) as bars:
             yield bars
 
     def find(self) -> tuple[list[Path], FeatureSettings]:
-        """Return the recordings, and the features to learn from; make the folder of the model."""
+        """Return the recordings and feature settings; create the folder of the model."""
         outputs.make_folder(self.out.parent, "--out")
         files = find_recordings(self.recordings)
         return files, self.modalities or FeatureSettings()
@@ -59,7 +57,7 @@ class Lessons:
     def taught(
         self, files: list[Path], features: FeatureSettings, shortest: int, bars: Bars
     ) -> Teaching:
-        """Read recordings; JobError if they teach nothing."""
+        """Read recordings; raise JobError if they teach nothing."""
         teacher = Teacher(features, shortest, include_runs=self.include_runs)
         teaching = teacher.read_all(files, bars)
         bars.close()
@@ -68,13 +66,13 @@ class Lessons:
         remark(teaching.remarks)
         if not teaching.demonstrations:
             what = counted(len(files), "recording")
-            raise JobError(f"nothing to learn from in {what}, for the reasons above")
+            raise JobError(f"{what}: nothing to learn from; see the reasons above")
         return teaching
 
     def report(
         self, rows: dict[str, Any], began_s: float, content: dict[str, Any] | None = None
     ) -> None:
-        """Print the rows of a report, and write them, or its own content, as JSON if asked to."""
+        """Print the rows of a report; write them, or other content, as JSON if requested."""
         if self.json_file is not None:
             written = {"model": str(self.out)} | (rows if content is None else content)
             outputs.write_json(self.json_file, "--json", written)
@@ -85,7 +83,7 @@ class Lessons:
     def finish(
         self, model: AnyModel, found: dict[str, Any], teaching: Teaching, began_s: float
     ) -> None:
-        """Save a new model, and report it and the recordings that taught it."""
+        """Save a new model and report it with its recordings."""
         save(model, self.out)
         modalities = model.feature_settings.modalities
         used = {
@@ -103,7 +101,7 @@ class Lessons:
 
 
 def save(model: AnyModel, path: Path) -> None:
-    """Write a model; JobError when it is too large."""
+    """Write a model; raise JobError if it is too large."""
     try:
         model.save(path)
     except ModelError as error:

@@ -1,4 +1,4 @@
-"""``smal topic echo`` and ``hz``: listening to what crosses the bus."""
+"""``smal topic echo`` and ``hz``: print and measure the messages on the bus."""
 
 import json
 import os
@@ -22,50 +22,52 @@ from services.experiments.words import number, table
 from services.kit.bus import Bus
 from services.kit.inbox import Inbox
 
-QUEUE: Final = 64  # Samples kept while the terminal is slower than the bus.
+QUEUE: Final = 64  # Maximum number of samples kept while the terminal is slower than the bus.
 CONNECT_S: Final = 2.0
 MOST_ITEMS: Final = 12
-#: Headings of the table for people, with the name of the figure and the factor to its unit.
+#: Columns of the table: name of the figure and factor to its unit.
 FIGURES: Final = {
     "Hz": ("rate_hz", 1.0), "min ms": ("min_s", 1e3), "max ms": ("max_s", 1e3), "std dev ms": ("std_s", 1e3),
     "kB/s": ("bytes_per_s", 1e-3), "mean kB": ("mean_bytes", 1e-3), "max kB": ("max_bytes", 1e-3),
 }  # fmt: skip
 Keys = Annotated[
     str | None,
-    Argument(metavar="[KEYEXPR]", help="Key expression, or a topic. [default: all of the robot]"),
+    Argument(
+        metavar="[KEYEXPR]", help="Key expression, or topic. [default: all topics of the robot]"
+    ),
 ]
 Seconds = Annotated[
-    float, Option(min=0.1, max=3600, help="How long to listen; Ctrl-C ends it earlier.")
+    float, Option(min=0.1, max=3600, help="Duration, seconds; Ctrl-C ends earlier.")
 ]
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One sample as it came from the bus."""
+    """A sample as received from the bus."""
 
     key: str
     payload: bytes
     encoding: str
 
     def decoded(self) -> Message:
-        """Return the message; DecodeError where the key is no topic of SMAL, or the payload not what belongs on it."""
+        """Decode the message; raise DecodeError if the key is no topic or the payload does not match."""
         topic = topic_of(self.key)
         if topic is None:
-            raise DecodeError("no topic of SMAL")
+            raise DecodeError("not a topic of SMAL")
         message = decode(topic.message, self.payload, self.encoding)
         if key_of(message) != self.key:
-            raise DecodeError(f"holds a message of {message.robot}/{message.topic_name}")
+            raise DecodeError(f"contains a message of {message.robot}/{message.topic_name}")
         return message
 
     def record(self) -> dict[str, object]:
-        """Return the sample for JSON: the fields, or why there are none; of binary data the length only."""
+        """Return the sample for JSON: the fields (of binary data the length), or the error."""
         try:
             return {"key": self.key, "message": _without_binary(self.decoded().model_dump())}
         except DecodeError as error:
             return {"key": self.key, "error": str(error), "bytes": len(self.payload)}
 
     def line(self) -> str:
-        """Return the sample as one line for people."""
+        """Return the sample as one line of text."""
         try:
             fields = self.decoded().model_dump(exclude={"robot"})
         except DecodeError as error:
@@ -76,7 +78,7 @@ class Sample:
 
 
 def figures(arrivals: Sequence[tuple[float, int]], elapsed_s: float) -> dict[str, Any]:
-    """Return how many came, when (s) and of how many bytes each, how regularly, and the bandwidth over all the time."""
+    """Return count, rate, regularity, sizes and bandwidth of messages, from their times (s) and bytes."""
     times_s, sizes = np.array(arrivals).T
     gaps_s = np.diff(times_s)
     spread: dict[str, float | None] = dict.fromkeys(("min_s", "max_s", "std_s"))
@@ -99,13 +101,14 @@ def figures(arrivals: Sequence[tuple[float, int]], elapsed_s: float) -> dict[str
 def echo(
     *,
     keys: Keys = None,
-    count: Annotated[int | None, Option(min=1, help="End after this many messages.")] = None,
+    count: Annotated[int | None, Option(min=1, help="Maximum number of messages.")] = None,
     as_json: options.Json = False,
     reach: options.Reach,
 ) -> None:
     """Print every message until Ctrl-C.
 
-    Each is one line, or with --json one JSON object; of binary data only the length is printed.
+    Each message is one line, or with --json one JSON object. Binary data are printed as their
+    length.
 
     Example: smal topic echo 'command/*' --json --count 5
     """
@@ -127,7 +130,7 @@ def echo(
                 printed += 1
     if inbox.dropped["samples"]:
         typer.echo(
-            f"smal: {inbox.dropped['samples']} messages came faster than they were printed",
+            f"smal: {inbox.dropped['samples']} messages were too fast to print",
             err=True,
         )
 
@@ -139,10 +142,10 @@ def hz(
     as_json: options.Json = False,
     reach: options.Reach,
 ) -> None:
-    """Measure how often, how regularly and how large the messages of each key are.
+    """Measure rate, regularity and size of the messages of each topic.
 
-    The rate is that between the first message and the last, also where a robot drove only for a part of the time; the
-    bandwidth is that of the payloads over the whole time. Listening to images costs their bandwidth once more.
+    The rate is measured between the first and the last message. The bandwidth is the size of all
+    payloads over the whole duration. Measuring images transfers them once more.
 
     Example: smal topic hz camera/jpeg --seconds 10
     """
@@ -150,7 +153,7 @@ def hz(
     heard: defaultdict[str, list[tuple[float, int]]] = defaultdict(list)
     began_s = time.monotonic()
     with _listening(reach) as bus:
-        # Noted on Zenoh's thread, where the time of arrival is true; one subscription, so one thread.
+        # Timed on Zenoh's thread for exact arrival times; one subscription runs on one thread.
         bus.listen(
             expression, lambda key, payload, _: heard[key].append((time.monotonic(), len(payload)))
         )
@@ -159,7 +162,7 @@ def hz(
     elapsed_s = time.monotonic() - began_s
     found = {key: figures(one, elapsed_s) for key, one in sorted(heard.items())}
     if not found:
-        typer.echo(f"smal: nothing was published on {expression}", err=True)
+        typer.echo(f"smal: no messages on {expression}", err=True)
     if as_json:
         say(json.dumps(found, indent=2))
     elif found:
@@ -167,7 +170,7 @@ def hz(
 
 
 def lines(found: dict[str, dict[str, Any]]) -> Iterator[str]:
-    """Yield the figures of each key as a table for people."""
+    """Yield the figures of each key as lines of a table."""
     rows = [["key", "messages", *FIGURES]]
     for key, one in found.items():
         cells = (number(one[name], scale) for name, scale in FIGURES.values())
@@ -176,7 +179,7 @@ def lines(found: dict[str, dict[str, Any]]) -> Iterator[str]:
 
 
 def key_expression(keys: str | None, robot: str) -> str:
-    """Return a key expression as it is, or that of a topic's short name, or of everything, for one robot."""
+    """Expand a topic's short name to the key expression of a robot; keep a full key expression."""
     if keys is None:
         return f"{ROOT}/{robot}/**"
     return keys if keys == ROOT or keys.startswith((f"{ROOT}/", "*")) else f"{ROOT}/{robot}/{keys}"
@@ -184,7 +187,7 @@ def key_expression(keys: str | None, robot: str) -> str:
 
 @contextmanager
 def _listening(reach: options.Reach) -> Iterator[Bus]:
-    """Connect to the bus; Ctrl-C, and a reader that closed the pipe, end the listening and nothing else."""
+    """Connect to the bus until Ctrl-C or until the reader closes the pipe."""
     with closing(reach.settings.open_bus("watcher", CONNECT_S)) as bus:
         try:
             yield bus
@@ -196,7 +199,7 @@ def _listening(reach: options.Reach) -> Iterator[Bus]:
 
 
 def wait(what: str, seconds: float) -> None:
-    """Say what is listened to, and let the time pass."""
+    """Announce the topic and let the time pass."""
     typer.echo(f"listening to {what} for {seconds:g} s", err=True)
     time.sleep(seconds)
 
@@ -208,7 +211,7 @@ def say(text: str) -> None:
 
 
 def _without_binary(value: object) -> object:
-    """Return a copy of plain data in which every ``bytes`` has given way to its length."""
+    """Return plain data in which each ``bytes`` is replaced by its length."""
     if isinstance(value, bytes):
         return {"bytes": len(value)}
     if isinstance(value, dict):
@@ -217,7 +220,7 @@ def _without_binary(value: object) -> object:
 
 
 def _array_text(dtype: str, shape: tuple[int, ...], data: bytes) -> str:
-    """Describe an array; of a matrix with few columns also its first row: of a belief the likeliest place."""
+    """Describe an array; include the first row (the likeliest place) of a belief."""
     if len(shape) == 2 and shape[0] and shape[1] <= MOST_ITEMS:
         first = np.frombuffer(data, dtype)[: shape[1]]
         return f"({' '.join(f'{number:.4g}' for number in first)}),...({shape[0]})"

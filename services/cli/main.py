@@ -1,4 +1,7 @@
-"""The ``smal`` command; an error that a user can cause is one line, with status 2 for bad use, 1 for a failed job."""
+"""Entry point of the ``smal`` command.
+
+A user error is printed as one line. The exit status is 2 for invalid usage and 1 for a failed job.
+"""
 
 import sys
 from importlib import import_module
@@ -16,48 +19,48 @@ from services.kit.version import program_version
 _EXIT_FAILED = 1
 _EXIT_USAGE = 2
 _EXIT_INTERRUPTED = 130
-#: Where each command is, and what it does. Modules are loaded when a command runs: all of them take seconds.
+#: Location and summary of each command. Modules are loaded on demand: all of them take seconds.
 COMMANDS: Final = {
-    "doctor": ("services.cli.doctor:doctor", "Check that this machine has what it takes."),
-    "up": ("services.cli.up:up", "Start the whole stack and keep it running."),
+    "doctor": ("services.cli.doctor:doctor", "Check the requirements of SMAL on this machine."),
+    "up": ("services.cli.up:up", "Start a whole stack and keep it running."),
     "demonstrate": (
         "services.cli.demonstrate:demonstrate",
-        "Let the scripted expert show the search.",
+        "Record demonstrations by a scripted expert.",
     ),
-    "teleop": ("services.cli.teleop:teleop", "Drive with the keyboard."),
+    "teleop": ("services.cli.teleop:teleop", "Drive a robot with the keyboard."),
     "import": (
         "services.cli.importing:import_recordings",
-        "Make recordings of what other software recorded.",
+        "Convert recordings of other software.",
     ),
     "export": (
         "services.cli.exporting:export_recordings",
-        "Write recordings as other software reads them.",
+        "Convert recordings for other software.",
     ),
     "recording": (
         "services.cli.recording:app",
-        "Tell what is in recordings; check and repair them.",
+        "Describe, check and repair recordings.",
     ),
     "replay": (
         "services.cli.replay:replay",
-        "Put a recording on the topics, in place of its robot.",
+        "Replay a recording in place of its robot.",
     ),
     "learn": ("services.cli.learn:learn", "Learn a model from recorded drives."),
-    "paper": ("services.cli.paper:app", "Learn by the paper's scheme."),
-    "model": ("services.cli.model:app", "Look at what was learned."),
-    "run": ("services.cli.run:run", "Let the robot find the victim by itself."),
+    "paper": ("services.cli.paper:app", "Learn a model by the paper's scheme."),
+    "model": ("services.cli.model:app", "Describe a model, or restore an earlier version."),
+    "run": ("services.cli.run:run", "Run searches with a learned model and count successes."),
     "evaluate": ("services.cli.evaluate:evaluate", "Run the paper's experiments in simulation."),
     "laps": ("services.cli.laps:laps", "Evaluate place recognition on laps of a real robot."),
     "match": ("services.cli.match:match", "Match the places of two traverses."),
-    "topic": ("services.cli.topic:app", "List the topics; listen to them."),
-    "secure": ("services.cli.secure:app", "Make and check certificates: who may do what."),
-    "world": ("services.cli.world:app", "Make worlds out of maps; draw them."),
+    "topic": ("services.cli.topic:app", "List topics; print and measure messages."),
+    "secure": ("services.cli.secure:app", "Create and check the certificates of a robot's bus."),
+    "world": ("services.cli.world:app", "Create and draw worlds."),
 }
 
 
 class _LazyGroup(TyperGroup):
     def __init__(self, *arguments: Any, **more: Any) -> None:  # noqa: ANN401
         super().__init__(*arguments, **more)
-        #: By name; what each is need not be known to list them, or to suggest others.
+        #: Names only: listing and suggestions do not need the commands themselves.
         self.commands = dict.fromkeys(COMMANDS)  # type: ignore[assignment]
 
     def get_command(  # type: ignore[override]  # typer hides the classes
@@ -94,10 +97,10 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def smal(
     version: Annotated[
-        bool, Option("--version", callback=_version, is_eager=True, help="Show the version.")
+        bool, Option("--version", callback=_version, is_eager=True, help="Version of SMAL.")
     ] = False,
 ) -> None:
-    """Teach a robot to find a victim by driving it there; match places.
+    """Teach a robot to find a target by driving it there once; match places.
 
     Example: smal doctor
     """
@@ -112,17 +115,17 @@ def main() -> None:
             raise KeyboardInterrupt
     except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - what nobody expects is raised again
         message, status = _told(error)
-        # Called without arguments, a group of commands answers with its help.
+        # A group of commands without arguments prints its help.
         sys.stderr.write(f"{message}\n" if message.startswith("Usage: ") else f"smal: {message}\n")
     sys.exit(status if isinstance(status, int) else 0)
 
 
 def _told(error: BaseException) -> tuple[str, int]:
-    """Return what is told of an error in one line, and the exit status; raise one again that no user can cause."""
+    """Return the message and the exit status of a user error; raise any other error again."""
     match error:
         case typer.BadParameter(
             __cause__=Exception() as why
-        ):  # Typer asks pydantic, and repeats what that says.
+        ):  # Typer repeats the text of pydantic's error.
             error.message = _told(why)[0].removeprefix("message: ")
             error.__cause__ = None
             return _told(error)
@@ -141,7 +144,7 @@ def _told(error: BaseException) -> tuple[str, int]:
             return describe_os_error(error), _EXIT_FAILED
         case KeyboardInterrupt() | typer.Abort():
             return "interrupted", _EXIT_INTERRUPTED
-    # Loaded only here: what is above needs nothing of it.
+    # Imported late, because the cases above do not need it.
     from pydantic import ValidationError  # noqa: PLC0415
 
     from schemas.codec import describe  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""``smal match``: which frame of one traverse shows the place of each frame of another, or one before it."""
+"""``smal match``: find the images of one traverse that show the places of another."""
 
 import time
 from contextlib import closing
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PLOT_FORMATS: Final = (".png", ".svg", ".pdf")
-_LOOP_PRECISION: Final = 0.99  # Of loops: a wrong loop bends a whole map.
+_LOOP_PRECISION: Final = 0.99  # For loop closure: a wrong loop distorts a whole map.
 _METHODS: Final = "; ".join(
     f"{name}: {method.meaning}" + (f" (l = {method.length})" if method.any_length else "")
     for name, method in METHODS.items()
@@ -47,49 +47,52 @@ _TEXTS: Final = {"--json": as_json, "--loops": as_g2o, "--page": judging_page}
 
 @dataclass(frozen=True)
 class MatchMethod:
-    """How places are recognized."""
+    """Method of place recognition and its parameters."""
 
     method: Annotated[str, Option(help=f"Method of place recognition. {_METHODS}.")] = "smal"
     length: Annotated[
-        int | None, Option(min=1, help="Frames of a window, l. [default: the method's]")
+        int | None, Option(min=1, help="Window length l, frames. [default: the method's]")
     ] = None
     modalities: options.Modalities = None
     tolerance: Annotated[
-        int | None, Option(min=0, max=10**6, help="Largest error of a right match, frames.")
+        int | None, Option(min=0, max=10**6, help="Largest error of a correct match, frames.")
     ] = None
     online: Annotated[
-        int | None, Option(min=0, metavar="LAG", help="Delay of each answer, frames.")
+        int | None, Option(min=0, metavar="LAG", help="Latency of each answer, frames.")
     ] = None
     tau: Annotated[
-        float | None, Option(min=-1e6, max=1e6, help="Largest score that is left out.")
+        float | None, Option(min=-1e6, max=1e6, help="Score above which matches are kept.")
     ] = None
     precision: Annotated[
-        float | None, Option(min=0.0, max=1.0, help="Share of right matches among those kept.")
+        float | None,
+        Option(min=0.0, max=1.0, help="Share of correct matches among the kept matches."),
     ] = None
 
     def chosen(self) -> Method:
-        """Return the method; UsageError when it does not take one of the options."""
+        """Return the method; raise UsageError if it does not support one of the options."""
         if self.method not in METHODS:
-            raise UsageError(f"--method {self.method}: unknown; known are {', '.join(METHODS)}")
+            raise UsageError(f"--method {self.method}: not found; choose from {', '.join(METHODS)}")
         method = METHODS[self.method]
         if not method.any_features and self.modalities:
             own = ", ".join(method.features.modalities)
             raise UsageError(
-                f"--modalities {self.modalities.text}: the method {self.method} has its own "
-                f"features, {own}"
+                f"--modalities {self.modalities.text}: unsupported: the method {self.method} "
+                f"uses {own}"
             )
         if self.length not in (None, method.length) and not method.any_length:
-            raise UsageError(f"--length {self.length}: the method {self.method} has no windows")
+            raise UsageError(
+                f"--length {self.length}: unsupported: the method {self.method} uses no windows"
+            )
         for name in ("tolerance", "online", "precision"):
             if (value := getattr(self, name)) is not None:
                 self.require_probable(method, f"--{name} {value}")
         return method
 
     def require_probable(self, method: Method, option: str) -> None:
-        """Raise UsageError, which names an option, unless scores are probabilities."""
+        """Raise UsageError with the name of an option unless scores are probabilities."""
         if not method.probable:
             raise UsageError(
-                f"{option}: the scores of the method {self.method} are no probabilities"
+                f"{option}: unsupported: scores of the method {self.method} are not probabilities"
             )
 
     def select(self, found: Matches) -> Matches:
@@ -100,7 +103,7 @@ class MatchMethod:
 
 @dataclass(frozen=True)
 class Depth:
-    """Where depth images are."""
+    """Folders of depth images."""
 
     reference_depth: Annotated[
         Path | None, Option(metavar="DIR", help="Depth images of REFERENCES; see above.")
@@ -112,10 +115,10 @@ class Depth:
 
 @dataclass(frozen=True)
 class Truth:
-    """What is right."""
+    """Source of the ground truth."""
 
     truth: Annotated[
-        str | None, Option(metavar="CSV|names|gps", help="Right matches; see above.")
+        str | None, Option(metavar="CSV|names|gps", help="Ground truth; see above.")
     ] = None
     poses: Annotated[
         tuple[Path, Path] | None,
@@ -123,18 +126,20 @@ class Truth:
     ] = None
     radius: Annotated[
         float | None,
-        Option(min=0.0, metavar="M", help="Distance within which places are the same."),
+        Option(
+            min=0.0, metavar="M", help="Distance within which two positions are the same place."
+        ),
     ] = None
 
     @property
     def files(self) -> list[Path]:
-        """The files that are read."""
+        """The input files."""
         return [Path(self.truth)] if self.truth else [*(self.poses or ())]
 
     def read(
         self, known: TraverseSource, asked: TraverseSource, tolerance: int
     ) -> IntervalTruth | None:
-        """Return the right matches of two traverses, which are one for loops; None if not given."""
+        """Return the ground truth of two traverses, or of one traverse and itself, if given."""
         self._check(loops=known is asked)
         within = f"within {self.radius or 0.0:g} m"
         if self.poses is not None:
@@ -157,24 +162,24 @@ class Truth:
     def _check(self, *, loops: bool) -> None:
         by_radius = self.truth == "gps" or self.poses is not None
         if by_radius and self.radius is None:
-            raise UsageError("--radius: is missing")
+            raise UsageError("--radius: missing")
         if self.radius is not None and not by_radius:
-            raise UsageError("--radius: belongs to --truth gps and to --poses")
+            raise UsageError("--radius: requires --truth gps or --poses")
         if self.truth is not None and self.poses is not None:
-            raise UsageError("--poses: --truth gives the right matches already; give one of them")
+            raise UsageError("--poses: conflicts with --truth; give only one")
         if loops and (by_radius or self.truth == "names"):
             raise UsageError(
-                "--loops: every frame is near itself and has its own name; --truth takes a file"
+                "--loops: conflicts with ground truth by positions or names; give --truth a file"
             )
 
 
 @dataclass(frozen=True)
 class MatchFiles:
-    """Where results are written."""
+    """Files of the results."""
 
     json_file: options.JsonFile = None
     loops: Annotated[
-        Path | None, Option(metavar="FILE", help="Matches of REFERENCES with itself, edges of g2o.")
+        Path | None, Option(metavar="FILE", help="Loop closures of REFERENCES as edges of g2o.")
     ] = None
     page: Annotated[
         Path | None, Option(metavar="FILE", help="Page to judge matches on; see above.")
@@ -185,7 +190,7 @@ class MatchFiles:
 
     @property
     def given(self) -> dict[str, Path]:
-        """The files by their options."""
+        """The files by option."""
         names = {"json_file": "--json"}
         found = {
             names.get(one.name, f"--{one.name}"): getattr(self, one.name) for one in fields(self)
@@ -193,21 +198,22 @@ class MatchFiles:
         return {option: path for option, path in found.items() if path is not None}
 
     def check(self, read: list[Path], folders: list[Path]) -> None:
-        """Check that each can be written, apart from each other and from all that is read."""
+        """Check that every file can be written and differs from all others and from all input."""
         options_of: dict[Path, str] = {}
         for option, path in self.given.items():
             outputs.check_file(path, option, read, folders)
             other = options_of.setdefault(path.resolve(), option)
             if other != option:
-                raise UsageError(f"{option} {path}: is also the file of {other}; give another name")
+                raise UsageError(f"{option} {path}: same file as {other}; choose another name")
         if self.plot is not None and self.plot.suffix.lower() not in _PLOT_FORMATS:
             raise UsageError(
-                f"--plot {self.plot}: the name of a picture ends in {', '.join(_PLOT_FORMATS)}"
+                f"--plot {self.plot}: unsupported; the file name must end in "
+                f"{', '.join(_PLOT_FORMATS)}"
             )
 
 
 class _Sources(NamedTuple):
-    """The two traverses, for loops the same, and their depth images."""
+    """The two traverses (for loops the same one) and their depth images."""
 
     known: TraverseSource
     asked: TraverseSource
@@ -227,7 +233,7 @@ class _Sources(NamedTuple):
         return cls(known, asked, [_depth_folder(features, *one) for one in named])
 
     def describe(self, settings: MatchSettings, engine: Engine) -> tuple[Traverse, Traverse]:
-        """Compute the features of both; JobError when one is shorter than a window."""
+        """Compute the features of both traverses; raise JobError if one is shorter than a window."""
         titles = ("reading references", "reading queries")
         sources = (self.known,) if settings.loops else (self.known, self.asked)
         found = [
@@ -237,7 +243,10 @@ class _Sources(NamedTuple):
         for one in found:
             one.say_skipped()
             if one.numbers.size < settings.length:
-                few = f"{counted(one.numbers.size, 'image')}, too few for a window of {settings.length}"
+                few = (
+                    f"{counted(one.numbers.size, 'image')}, too few for a window of "
+                    f"{settings.length}"
+                )
                 raise JobError(f"{one.source.path}: {few}; choose a shorter --length")
         return found[0], found[-1]
 
@@ -245,53 +254,60 @@ class _Sources(NamedTuple):
 def match(
     *,
     reference: Annotated[Path, Argument(metavar="REFERENCES", help="Known traverse; see above.")],
-    query: Annotated[
-        Path | None, Argument(metavar="QUERIES", help="Traverse to be recognized.")
-    ] = None,
+    query: Annotated[Path | None, Argument(metavar="QUERIES", help="Traverse to match.")] = None,
     way: MatchMethod,
     depth: Depth,
     truth: Truth,
     at_work: options.AtWork = options.HERE,
     files: MatchFiles,
 ) -> None:
-    """Find for every image of one traverse the image of another that was taken at the same place.
+    """Match the images of two traverses that were taken at the same place.
 
-    A traverse is a folder of images in natural order (img2 before img10), a video, or a recording of SMAL (.mcap); its
-    frames count from 0. Any format and size that OpenCV reads will do, grey or with 16 bits as well. An image that
-    cannot be read is skipped and keeps its number. Features are kept in $XDG_CACHE_HOME/smal (~/.cache/smal, of at
-    most 90,000 images), so that the next run with the same ones takes seconds.
+    Input: a traverse is a folder of images in natural order (img2 before img10), a video, or a
+    recording of SMAL (.mcap); its frames count from 0. All image formats, sizes and bit depths of
+    OpenCV are supported. Unreadable images are skipped and keep their number. Features are cached
+    in $XDG_CACHE_HOME/smal (~/.cache/smal, maximum 90,000 images).
 
-    The score of smal is the probability that the match is right, to --tolerance frames (by default as far as references
-    look alike, with --truth half of what usually is right). So --precision .99 keeps as many matches as are right in 99
-    of 100 cases, and leaves out places that no reference shows. Scores of the other methods order the matches of one
-    run, no more; their first queries have no match, as long as no window of --length frames ends there.
+    Scores: the score of smal is the probability that the match is correct within --tolerance
+    frames. The default tolerance is the distance over which references look alike; with --truth,
+    half of the usual interval. --precision .99 keeps the most confident matches of which 99 of 100
+    are correct, and omits places that no reference shows. Scores of other methods only rank the
+    matches of one run; their first queries have no match until a window of --length frames is
+    complete.
 
-    What all images of a traverse have in common, as its light, is taken away (but by paper and image), and smal looks
-    at all queries before it answers: the more there are, the better it works. With --online LAG it answers a query by
-    those up to LAG frames later: 0 as soon as it is seen.
+    Except for paper and image, the average image of a traverse (such as its light) is removed. smal
+    uses all queries for each answer. With --online LAG it answers with a latency of LAG frames (0:
+    immediately).
 
-    --loops FILE needs no QUERIES: each frame is matched with those long before it, at --precision .99. FILE gets an
-    edge of g2o for each: EDGE_SE2 EARLIER LATER 0 0 0, information the score for x and y, 0 for the heading.
+    Loops: --loops FILE matches each frame with much earlier frames, without QUERIES, at --precision
+    .99. FILE has an edge of g2o for each: EDGE_SE2 EARLIER LATER 0 0 0, with the score as
+    information for x and y, and 0 for the heading.
 
-    Depth images have 16 bits, in millimetres; --reference-depth has one for each of REFERENCES, in the same order.
+    Depth: images have 16 bits, in millimetres; --reference-depth has one image for each of
+    REFERENCES, in the same order.
 
-    The file of --truth has the columns query, reference_first, reference_last, frames counted from 0, the last included
-    (7,20,24): a row a query, or several where the references show its place several times. A query that no reference
-    shows has the row 7,, and one without a row is not judged. --truth names takes images of one name for one place (to
-    --tolerance frames), --truth gps those within --radius metres by EXIF, and --poses by two files with the columns
-    frame, x_m, y_m. It adds the area under the precision-recall curve (auc) and the recall at 100 % precision, both
-    with 95 % intervals and of what is left; how far probabilities are off the share that is right (expected calibration
-    error); and how often a known query is told from an unknown one.
+    Ground truth: the file of --truth has the columns query, reference_first, reference_last, with
+    frames counted from 0 and the last frame included (7,20,24). A query has several rows if
+    references show its place several times. The row 7,, marks a query that no reference shows.
+    Queries without a row are not evaluated. --truth names matches equal file names (within
+    --tolerance frames), --truth gps EXIF positions within --radius metres, and --poses two files
+    with the columns frame, x_m, y_m. The report adds the area under the precision-recall curve
+    (auc) and the recall at 100 % precision, both with 95 % intervals and after filtering, the
+    expected calibration error, and how well unknown queries are detected.
 
-    --page FILE shows the 200 most doubtful matches as images; say there which are right, and save a file for --truth.
+    Judging: --page FILE shows the 200 least certain matches as images. Mark the correct matches
+    there and save a file for --truth.
 
-    The JSON has all of this; the names of frames, read or not; and "matches", one for each query frame: {"query",
-    "reference", "score", "unknown"}, reference null and score 0 where there is none, unknown the probability that no
-    reference shows the query.
+    JSON: all results, the names of frames, and "matches", one for each query frame: {"query",
+    "reference", "score", "unknown"}. Without a match, reference is null and score 0. unknown is the
+    probability that no reference shows the query.
 
-    Example: smal match summer winter --precision 0.99 --truth truth.csv --json matches.json --plot matches.png;
-    smal match summer.mp4 winter.mp4 --page judge.html; smal match summer winter --truth gps --radius 5;
-    smal match summer winter --poses summer.csv winter.csv --radius 5; smal match drive --loops loops.g2o
+    Example: smal match summer winter --precision 0.99 --truth truth.csv --json matches.json --plot
+    matches.png;
+    smal match summer.mp4 winter.mp4 --page judge.html; smal match summer winter --truth gps
+    --radius 5;
+    smal match summer winter --poses summer.csv winter.csv --radius 5; smal match drive --loops
+    loops.g2o
     """
     method = way.chosen()
     loops = files.loops is not None
@@ -299,8 +315,8 @@ def match(
         way.require_probable(method, f"--loops {files.loops}")
         way = replace(way, precision=_LOOP_PRECISION if way.precision is None else way.precision)
     if (query is None) != loops:
-        missing = "QUERIES: missing; --loops FILE does without"
-        raise UsageError(missing if query is None else "--loops: takes no QUERIES")
+        missing = "QUERIES: missing; only --loops FILE works without them"
+        raise UsageError(missing if query is None else "--loops: unsupported with QUERIES")
     given = (reference, query, depth.reference_depth, depth.query_depth)
     read = [path for path in given if path is not None]
     files.check([*truth.files, *read], read)
@@ -349,13 +365,13 @@ def _depth_folder(
     if path is None or "depth" not in features.needs:
         if path is not None or "depth" in features.needs:
             raise UsageError(
-                f"{option}: belongs to the modality depth (--modalities hog,depth), which needs it"
+                f"{option}: requires the modality depth, and vice versa (--modalities hog,depth)"
             )
         return None
     folder = open_source(path, option)
     if (count := len(folder.frames)) != len(colour.frames):
         raise UsageError(
-            f"{option} {path}: has {count} images, and {colour.path} has {len(colour.frames)}"
+            f"{option} {path}: {count} images, but {colour.path} has {len(colour.frames)}"
         )
     return folder
 
@@ -371,9 +387,7 @@ def _match(
         except ValueError as error:
             raise JobError(f"cannot match these traverses: {error}") from None
         except MemoryError:
-            raise JobError(
-                "matching {} and {} frames takes more memory than there is".format(*sizes)
-            ) from None
+            raise JobError("out of memory while matching {} and {} frames".format(*sizes)) from None
 
 
 def _write(files: MatchFiles, result: Result, truth: IntervalTruth | None) -> None:
@@ -388,7 +402,7 @@ def _write(files: MatchFiles, result: Result, truth: IntervalTruth | None) -> No
                     file.write(_TEXTS[option](result).encode())
             written.append(path)
     finally:
-        # Also when a file cannot be written: the figures have cost their time.
+        # Print the figures even if a file cannot be written, because they took time to compute.
         typer.echo("\n".join(as_text(result, written)))
 
 

@@ -1,4 +1,4 @@
-"""``smal model``: what a model has learned."""
+"""``smal model``: describe a model and restore earlier versions."""
 
 from contextlib import closing
 from pathlib import Path
@@ -17,7 +17,8 @@ from services.kit.errors import JobError, UsageError
 from services.recordings.dataset import find_recordings
 
 app = typer.Typer(
-    help="Look at what was learned.\n\nExample: smal model show campus.smal --recordings drives --out shown",
+    help="Describe a model, or restore an earlier version.\n\nExample: smal model show "
+    "campus.smal --recordings drives --out shown",
     **STYLE,
 )
 
@@ -28,41 +29,40 @@ def go_back(
         Path, Argument(metavar="MODEL", help="Model file that `smal learn --add` changed.")
     ],
 ) -> None:
-    """Put the version of a model in its place that it had before it last learned from runs.
+    """Restore the version of a model before its last extension.
 
     Example: smal model back campus.smal
     """
-    typer.echo(
-        f"{file}: is again what it was as {back(file)}; {len(versions(file))} earlier versions are left"
-    )
+    typer.echo(f"{file}: restored from {back(file)}; {len(versions(file))} earlier versions left")
 
 
 @app.command("show")
 def show(
     file: Annotated[Path, Argument(metavar="MODEL", help="Model file, made by `smal learn`.")],
-    out: Annotated[Path | None, Option(help="Write a page with pictures to this folder.")] = None,
+    out: Annotated[Path | None, Option(help="Folder for a page with pictures.")] = None,
     recordings: Annotated[
-        list[Path] | None, Option(help="What it was learned from; may be given again.")
+        list[Path] | None,
+        Option(help="Recordings of the model, for images on the page; repeatable."),
     ] = None,
 ) -> None:
-    """Say what a model is; with --out show it on a page.
+    """Describe a model; with --out, write a page about it.
 
-    OUT/index.html shows the taught ways with the places where they part and meet, and the cost to go to each goal. A
-    model keeps no images: with --recordings the page has some of each drive, and where the belief was wide when
-    recognition follows them once more. The page needs nothing from a network.
+    OUT/index.html shows the taught routes with their junctions and the cost to each goal. A model
+    contains no images. With --recordings the page shows images of each drive, and the places where
+    the localization of the same drives is uncertain. The page works offline.
 
     Example: smal model show campus.smal --recordings drives --out shown
     """
     model = options.loaded(file)
     if out is None:
         if recordings:
-            raise UsageError("--recordings: what they show is for the page: give --out too")
+            raise UsageError("--recordings: only for the page; give --out too")
         for line in lines(model, str(file), file.stat().st_size):
             typer.echo(line)
         return
     files = None if recordings is None else find_recordings(recordings)
     outputs.make_folder(out, "--out")
-    # They load matplotlib and OpenCV.
+    # Imported late: these modules load matplotlib and OpenCV.
     from services.experiments.showing.drives import find_drives  # noqa: PLC0415
     from services.experiments.showing.page import write_page  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""Options that several commands share: declared once, and checked where they are read."""
+"""Options that several commands share, and their checks."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
@@ -34,20 +34,22 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class CameraOptions:
-    """Size of the camera image."""
+    """Size of the camera image, pixels."""
 
     width: int
     height: int
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read ``WIDTHxHEIGHT``; UsageError says what is wrong with it."""
+        """Parse ``WIDTHxHEIGHT``."""
         width, _, height = text.partition("x")
         if not (width.isdecimal() and height.isdecimal()):
-            raise UsageError(f"--camera {text!r}: expected WIDTHxHEIGHT, for example 1024x768")
+            raise UsageError(
+                f"--camera {text!r}: invalid; expected WIDTHxHEIGHT, for example 1024x768"
+            )
         camera = cls(int(width), int(height))
         if not (32 <= camera.width <= 4096 and 24 <= camera.height <= 3072):
-            raise UsageError(f"--camera {text!r}: from 32x24 to 4096x3072")
+            raise UsageError(f"--camera {text!r}: outside 32x24 to 4096x3072")
         return camera
 
 
@@ -55,7 +57,7 @@ USUAL_CAMERA: Final = CameraOptions(1024, 768)
 
 
 def fleet_of(robot: str, robots: int) -> tuple[str, ...]:
-    """Return the ids of the robots of a fleet; UsageError where one becomes too long."""
+    """Return the robot ids of a fleet; raise UsageError if an id is too long."""
     try:
         return fleet(robot, robots)
     except ValueError as error:
@@ -63,7 +65,7 @@ def fleet_of(robot: str, robots: int) -> tuple[str, ...]:
 
 
 def checked(check: Callable[[str], T]) -> Callable[[str], T]:
-    """Make a parser for Typer of a check; what raises ValueError there is bad use, and why is said in one line."""
+    """Convert a check that raises ValueError into a parser for Typer."""
 
     def parse(text: str) -> T:
         try:
@@ -87,20 +89,22 @@ Robots = Annotated[
         envvar="SMAL_ROBOTS",
         min=1,
         max=MAX_ROBOTS,
-        help="How many robots; the others are ROBOT-2 and so on.",
+        help="Number of robots; further robots are named ROBOT-2, ROBOT-3 …",
     ),
 ]
 Secure = Annotated[
-    Path | None, Option(envvar="SMAL_SECURE", help="Certificates by `smal secure init`.")
+    Path | None,
+    Option(envvar="SMAL_SECURE", help="Folder of certificates, created by `smal secure init`."),
 ]
-Json = Annotated[bool, Option("--json", help="Print JSON.")]
+Json = Annotated[bool, Option("--json", help="Output as JSON.")]
 JsonFile = Annotated[
-    Path | None, Option("--json", metavar="FILE", help="Write the results as JSON.")
+    Path | None, Option("--json", metavar="FILE", help="File for the results as JSON.")
 ]
 World = Annotated[
     str | None,
     Option(
-        help="A name, such as indoor, or a map's or world's file. [default: campus; with --connect the robot's]"
+        help="Name of a world, such as indoor, or file of a map or world. [default: campus; "
+        "with --connect the robot's]"
     ),
 ]
 Seed = Annotated[int, Option(min=0, help="Seed of the first episode; episode k uses SEED + k.")]
@@ -110,19 +114,21 @@ CameraSize = Annotated[
         "--camera",
         parser=CameraOptions.parse,
         metavar="WxH",
-        help="Camera image. [default: 1024x768; of `smal up` 640x480]",
+        help="Size of the camera image. [default: 1024x768; `smal up`: 640x480]",
     ),
 ]
 Base = Annotated[
     BaseKind | None,
-    Option(help="Driven wheels (physics), those of a car, or exact arcs. [default: physics]"),
+    Option(
+        help="Motion model: differential drive (physics), car, or exact arcs. [default: physics]"
+    ),
 ]
 Goal = Annotated[
     str | None,
-    Option(parser=_goal, metavar="NAME", help="Where to go, in a model with several goals."),
+    Option(parser=_goal, metavar="NAME", help="Goal, for a model with several goals."),
 ]
 GoalOfDrives = Annotated[
-    str, Option(parser=_goal, metavar="NAME", help="Where drives lead; see `smal run --goal`.")
+    str, Option(parser=_goal, metavar="NAME", help="Goal of the drives, as for `smal run --goal`.")
 ]
 Modalities = Annotated[
     FeatureSettings | None,
@@ -130,36 +136,38 @@ Modalities = Annotated[
         "--modalities",
         parser=checked(FeatureSettings.parse),
         metavar="NAMES",
-        help=f"Feature modalities, separated by commas, out of {', '.join(MODALITY_NAMES)}. "
-        "[default: those of the model or the method; else color,hog]",
+        help=f"Feature modalities, comma-separated: {', '.join(MODALITY_NAMES)}. [default: "
+        "those of the model or the method; else color,hog]",
     ),
 ]
 
 
 @dataclass(frozen=True)
 class Reach:
-    """How a running stack is reached."""
+    """Address and credentials of a running stack."""
 
     robot: Robot = DEFAULT_ROBOT
     router: Annotated[
-        str | None, Option(envvar="SMAL_ROUTER", help=f"The Zenoh router. [default: {_ROUTERS}]")
+        str | None,
+        Option(envvar="SMAL_ROUTER", help=f"Address of the Zenoh router. [default: {_ROUTERS}]"),
     ] = None
     secure: Secure = None
 
     @property
     def settings(self) -> ServiceSettings:
-        """The same as settings; ValidationError where the environment has some that cannot be used."""
+        """Return the settings of the connection; raise ValidationError for an invalid environment."""
         given: dict[str, Any] = {"robot": self.robot, "secure": self.secure}
         return ServiceSettings(**given | ({} if self.router is None else {"router": self.router}))
 
 
 @dataclass(frozen=True)
 class Simulator:
-    """How a simulator is started; None leaves a setting at its default."""
+    """Settings of the simulator; None means the default."""
 
     camera: CameraSize = None
     shake: Annotated[
-        float | None, Option(min=0, max=10, help="Of the camera. [default: 1 indoors, else 0]")
+        float | None,
+        Option(min=0, max=10, help="Strength of the camera shake. [default: 1 indoors, else 0]"),
     ] = None
     base: Base = None
     variation: Annotated[
@@ -172,11 +180,11 @@ class Simulator:
     ] = None
 
     depth: Annotated[
-        bool | None, Option(help="With a depth camera, to go round things. [default: depth]")
+        bool | None, Option(help="Depth camera for avoiding obstacles. [default: depth]")
     ] = None
 
     def flags(self, world: str, usual: CameraOptions = USUAL_CAMERA) -> tuple[str, ...]:
-        """Return the flags of the service."""
+        """Return the command line flags of the service."""
         camera = self.camera or usual
         return flags(**asdict(self) | {"camera": None}, world=world, camera_width=camera.width,
                      camera_height=camera.height)  # fmt: skip
@@ -184,25 +192,25 @@ class Simulator:
 
 @dataclass(frozen=True)
 class Changes:
-    """What is other than it was when the way was taught."""
+    """Changes of the world since the demonstration."""
 
     victim: Annotated[
         Victim,
         Option(
-            help="How the victim lies; moved: a little elsewhere; decoy: something else in its place."
+            help="State of the target: moved (a little), or decoy (another object in its place)."
         ),
     ] = "there"
     obstacles: Annotated[
-        int, Option(min=0, max=50, help="Things on and beside the way that were not there.")
+        int, Option(min=0, max=50, help="Number of new obstacles on and beside the route.")
     ] = 0
     people: Annotated[
-        int, Option(min=0, max=50, help="People who walk about the way, to and fro.")
+        int, Option(min=0, max=50, help="Number of people who walk along the route.")
     ] = 0
-    blocked: Annotated[bool, Option("--blocked", help="Closed way.")] = False
+    blocked: Annotated[bool, Option("--blocked", help="Blocked route.")] = False
 
     @property
     def other_than_taught(self) -> dict[str, Any]:
-        """The changes that were asked for, by name."""
+        """The requested changes by name."""
         return {
             one.name: value
             for one in fields(self)
@@ -212,31 +220,30 @@ class Changes:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Which stack a command works with: one that runs, or one of its own."""
+    """Options for the stack: a running stack, or a new one for the command."""
 
     connect: Annotated[
-        str | None, Option(help=f"Use the stack at this router (`smal up`: {_ROUTERS}).")
+        str | None,
+        Option(help=f"Address of a running stack (`smal up`: {_ROUTERS}). [default: a new stack]"),
     ] = None
     secure: Secure = None
     robot: Robot = DEFAULT_ROBOT
 
     @property
     def settings(self) -> ServiceSettings | None:
-        """How the running stack is reached; None for one of its own."""
+        """The settings of the running stack; None for a new stack."""
         if self.connect is None:
             return None
         return ServiceSettings(robot=self.robot, router=self.connect, secure=self.secure)
 
     def refuse(self, simulator: Simulator, modalities: FeatureSettings | None = None) -> None:
-        """Refuse with `connect` what the running stack has already; raises UsageError when there is something of it."""
+        """Raise UsageError if an option conflicts with `connect`."""
         for name, value in (asdict(simulator) | {"modalities": modalities}).items():
             if value is not None and self.connect is not None:
-                raise UsageError(
-                    f"--{name}: with --connect the running stack has its own; give it to `smal up`"
-                )
+                raise UsageError(f"--{name}: unsupported with --connect; give it to `smal up`")
 
     def world(self, world: str | None) -> tuple[str, str | None]:
-        """Return the world to start a stack in, and the name that the robot's must have, if any; or UsageError."""
+        """Return the world of a new stack, and the world name to require of the robot, if any."""
         chosen = world or DEFAULT_WORLD
         return chosen, None if world is None and self.connect is not None else read_world(
             chosen
@@ -245,25 +252,27 @@ class RunOptions:
 
 @dataclass(frozen=True)
 class AtWork:
-    """Who computes."""
+    """Where the computation runs."""
 
     workers: Annotated[
         int | None,
         Option(
             min=1,
             max=1024,
-            help="Processes at work here. [default: one a core for `evaluate`; else threads]",
+            help="Number of worker processes on this machine. [default: one per core for "
+            "`evaluate`; else threads]",
         ),
     ] = None
     scheduler: Annotated[
-        str | None, Option(metavar="ADDRESS", help="Compute at a scheduler of Dask instead.")
+        str | None,
+        Option(metavar="ADDRESS", help="Address of a Dask scheduler that computes instead."),
     ] = None
     secure: Secure = None
 
     def engine(self) -> Engine:
-        """Return what computes; UsageError where it cannot be such."""
+        """Return the engine that computes."""
         if self.workers is not None and self.scheduler is not None:
-            raise UsageError("--workers: a scheduler (--scheduler) has its own")
+            raise UsageError("--workers: unsupported with --scheduler")
         return Engine(self.workers, self.scheduler, self.secure)
 
 
@@ -272,19 +281,18 @@ HERE: Final = AtWork()
 
 @dataclass(frozen=True)
 class Use:
-    """How a model is used."""
+    """Use of a model."""
 
-    scheme: Annotated[
-        Scheme | None, Option(help="Refuse a model that was learned for another scheme.")
-    ] = None
+    scheme: Annotated[Scheme | None, Option(help="Required scheme of the model.")] = None
     stride: Annotated[
-        int | None, Option(min=1, help="Paper: frames a decision. [default: the model's l]")
+        int | None,
+        Option(min=1, help="Frames per decision, for the paper's scheme. [default: the model's l]"),
     ] = None
     goal: Goal = None
 
 
 def read_world(world: str) -> LoadedWorld:
-    """Read the world of ``--world`` before the processes start; UsageError says what is wrong with it."""
+    """Read the world of ``--world`` before the processes start."""
     try:
         return load_foreign_world(world)
     except WorldError as error:
@@ -292,7 +300,7 @@ def read_world(world: str) -> LoadedWorld:
 
 
 def loaded(path: Path, option: str = "", hint: str = "") -> AnyModel:
-    """Read a model; UsageError, with what a user is told before and after, when it is none."""
+    """Read a model; raise UsageError with a prefix and a suffix if it is invalid."""
     try:
         return load_model(path)
     except ModelError as error:
@@ -300,7 +308,7 @@ def loaded(path: Path, option: str = "", hint: str = "") -> AnyModel:
 
 
 def read_model(path: Path, use: Use) -> AnyModel:
-    """Read the model of ``--model``; UsageError when it is none, or not for this use."""
+    """Read the model of ``--model``; raise UsageError if it is invalid or unsuitable for this use."""
     model = loaded(path, "--model ")
     if (refusal := refused(model, use.scheme, use.stride, use.goal)) is not None:
         raise UsageError(f"--model {path}: {refusal}")
@@ -310,12 +318,12 @@ def read_model(path: Path, use: Use) -> AnyModel:
 def feature_flags(
     modalities: FeatureSettings | None, model: FeatureSettings | None = None
 ) -> tuple[str, ...]:
-    """Return the flags of a features service; UsageError: the model was learned on others, or on a file not given."""
+    """Return the flags of a features service; raise UsageError if they do not match the model."""
     features = modalities or model or FeatureSettings()
     if "depth" in features.needs:
         raise UsageError(
-            f"--modalities {','.join(features.modalities)}: recordings hold no depth images, so no "
-            "model is learned on them; omit depth"
+            f"--modalities {','.join(features.modalities)}: unsupported: recordings contain no "
+            "depth images, so no model uses them; omit depth"
         )
     if model is not None and model.fingerprint != features.fingerprint:
         learned_on = ",".join(model.modalities)
@@ -323,7 +331,8 @@ def feature_flags(
             f"--modalities {','.join(features.modalities)}: the model was learned on {learned_on}"
         )
     try:
-        # Of a network it has the file, which only the user gives: what a model says makes nothing run.
+        # These include the file of a network. It comes from the user only: a model must not start
+        # code.
         return "--modalities", features.text
     except ValueError as error:
         raise UsageError(

@@ -1,4 +1,4 @@
-"""Where commands write their results: checked before the work begins, written whole or not at all."""
+"""Files and folders of results: checked before the work and written completely or not at all."""
 
 import json
 import os
@@ -13,7 +13,7 @@ from smal.files.container import FULL, replacing
 
 
 def make_folder(path: Path, option: str) -> None:
-    """Make the folder for results before the work begins; UsageError when nothing can be written there."""
+    """Create the folder for results before the work begins."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
@@ -21,39 +21,39 @@ def make_folder(path: Path, option: str) -> None:
     except OSError as error:
         raise UsageError(f"{option} {path}: {error.strerror}") from None
     if not os.access(path, os.W_OK):
-        raise UsageError(f"{option} {path}: cannot be written to")
+        raise UsageError(f"{option} {path}: permission denied")
 
 
 def check_file(
     path: Path | None, option: str, read: Iterable[str | Path] = (), folders: Iterable[Path] = ()
 ) -> None:
-    """Check before the work that a file of results can be written, apart from all that is read; else UsageError."""
+    """Check before the work that a file of results can be written and differs from all input."""
     if path is None:
         return
     fault = _unwritable(path)
     if fault is None and path.exists() and any(map(path.samefile, filter(os.path.exists, read))):
-        fault = "is a file that this command reads; give another name"
+        fault = "is an input of this command; choose another name"
     if fault is None and path.resolve().parent in [folder.resolve() for folder in folders]:
-        fault = "would lie among the files that this command reads; choose another folder"
+        fault = "is in an input folder of this command; choose another folder"
     if fault is not None:
         raise UsageError(f"{option} {path}: {fault}")
 
 
 def _unwritable(path: Path) -> str | None:
     if path.is_dir():
-        return "is a folder; give the name of a file"
+        return "is a folder; choose a file name"
     if path.exists() and not path.is_file():
-        return "is no regular file, and would be replaced by one; give another name"
+        return "is not a regular file; choose another name"
     if not path.parent.is_dir():
-        return f"no folder {path.parent}"
+        return f"folder {path.parent} not found"
     if not os.access(path if path.exists() else path.parent, os.W_OK):
-        return "cannot be written"
+        return "permission denied"
     return None
 
 
 @contextmanager
 def workshop(folder: Path, option: str) -> Iterator[Path]:
-    """Make a folder, and one in it for results until all are whole; where that fails, a new folder is gone too."""
+    """Create a folder, and a temporary folder in it for incomplete results; clean up after a failure."""
     new = not folder.exists()
     make_folder(folder, option)
     try:
@@ -61,7 +61,7 @@ def workshop(folder: Path, option: str) -> Iterator[Path]:
             yield Path(made)
     except BaseException as error:
         if isinstance(error, OSError) and error.errno in FULL:
-            error.filename = str(folder)  # Not that of a file which is gone.
+            error.filename = str(folder)  # The temporary file has been deleted.
         if new:
             with suppress(OSError):
                 folder.rmdir()
@@ -70,10 +70,11 @@ def workshop(folder: Path, option: str) -> Iterator[Path]:
 
 @contextmanager
 def new_folder(path: Path, option: str) -> Iterator[Path]:
-    """Fill a new or empty folder, which gets its name when it is whole; UsageError when there is something else."""
+    """Fill a new or empty folder, which gets its name when it is complete."""
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise UsageError(
-            f"{option} {path}: exists{' and is not empty' if path.is_dir() else ''}; give another name"
+            f"{option} {path}: already exists{' and is not empty' if path.is_dir() else ''}; "
+            "choose another name"
         )
     place = path.resolve()
     with workshop(place.parent, option) as shop:
@@ -84,7 +85,7 @@ def new_folder(path: Path, option: str) -> Iterator[Path]:
 
 @contextmanager
 def writing(path: Path, option: str) -> Iterator[IO[bytes]]:
-    """Write a file so that there is never a half-written one; raises JobError when the system refuses."""
+    """Write a file atomically; raise JobError if that fails."""
     try:
         with replacing(path) as file:
             yield file
@@ -93,6 +94,6 @@ def writing(path: Path, option: str) -> Iterator[IO[bytes]]:
 
 
 def write_json(path: Path, option: str, content: object) -> None:
-    """Write results as JSON, as `writing` does."""
+    """Write results as JSON; see `writing`."""
     with writing(path, option) as file:
         file.write((json.dumps(content, indent=2) + "\n").encode())

@@ -35,21 +35,21 @@ _USUAL: Final = LearningSettings()
 class Settings:
     """Settings of the paper's scheme."""
 
-    sequence_length: Annotated[int, Option("--length", min=1, help="Frames of a sequence, l.")] = (
-        _USUAL.sequence_length
-    )
+    sequence_length: Annotated[
+        int, Option("--length", min=1, help="Sequence length l, frames.")
+    ] = _USUAL.sequence_length
     lambda1: Annotated[float | None, Option(help="λ1 of Eq. 7. [default: 0.1 sqrt(l)]")] = None
     lambda2: Annotated[float | None, Option(help="λ2 of Eq. 7. [default: 0.1 sqrt(l)]")] = None
-    tau: Annotated[float, Option(min=0, max=1e6, help="Threshold of Eq. 8, a query frame.")] = (
+    tau: Annotated[float, Option(min=0, max=1e6, help="Threshold of Eq. 8 per query frame.")] = (
         _USUAL.tau
     )
     gamma: Annotated[float, Option(help="Discount factor.")] = _USUAL.gamma
     max_mib: Annotated[
-        int | None, Option("--memory", min=1, metavar="MIB", help="Bound on the memory; see above.")
+        int | None, Option("--memory", min=1, metavar="MIB", help="Maximum memory; see above.")
     ] = None
 
     def of(self, features: FeatureSettings = _USUAL.features) -> LearningSettings:
-        """Return the same with features; UsageError when one is invalid."""
+        """Return these settings with features; raise UsageError if one is invalid."""
         given = asdict(self)
         mib = given.pop("max_mib")
         try:
@@ -59,10 +59,11 @@ class Settings:
 
 
 def learn(*, lessons: Lessons, settings: Settings) -> None:
-    """Learn the paper's states, actions, reward and policy from recorded drives; `smal run` runs it as any model.
+    """Learn the paper's states, actions, reward and policy from recorded drives.
 
-    Recovery drives teach as well. --tau is the threshold of Eq. 8; --memory bounds templates and their inner products,
-    4 n (n + m) bytes for n template frames of m features.
+    `smal run` accepts the model. Recovery drives teach as well. --tau is the threshold of Eq. 8.
+    --memory limits templates and their inner products: 4 n (n + m) bytes for n template frames of m
+    features.
 
     Example: smal paper learn drives --out paper.smal
 
@@ -88,7 +89,7 @@ app.command("learn")(grouped(learn))
 
 
 def _found(model: PaperModel, settings: LearningSettings) -> dict[str, Any]:
-    """Return what was learned, for the report."""
+    """Return the rows of the report."""
     lambda1, lambda2 = settings.lambdas
     return {
         "length": settings.sequence_length,

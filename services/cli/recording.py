@@ -1,4 +1,4 @@
-"""``smal recording``: what is in recordings, whether they are whole, and making them so."""
+"""``smal recording``: describe, check and repair recordings."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -27,17 +27,15 @@ from services.recordings.repair import repair, usual_name
 from services.recordings.stream import RecordingError
 
 app = typer.Typer(
-    help="Tell what is in recordings; check and repair them.\n\nExample: smal recording info drives",
+    help="Describe, check and repair recordings.\n\nExample: smal recording info drives",
     **STYLE,
 )
-Paths = Annotated[list[Path], Argument(help="Recordings (MCAP), or folders of them.")]
+Paths = Annotated[list[Path], Argument(help="Recordings (MCAP), or folders of recordings.")]
 
 
 @app.command("info")
 def info(recordings: Paths, as_json: Json = False) -> None:
-    """Tell what is in recordings.
-
-    Who drove where and how it ended, the topics with their counts and rates, the camera, and sizes.
+    """Describe recordings: drivers, outcomes, topics, camera and sizes.
 
     Example: smal recording info drives --json
     """
@@ -52,10 +50,10 @@ def info(recordings: Paths, as_json: Json = False) -> None:
 
 @app.command("verify")
 def check(recordings: Paths, as_json: Json = False) -> None:
-    """Read all of recordings, and tell what is wrong with them, a line each.
+    """Read recordings completely and report each problem in a line.
 
-    Checksums, messages that do not decode, ticks that are missing, and whether they are sealed. Ends with status 1
-    where there is anything.
+    The checks cover checksums, undecodable messages, missing ticks and seals. The exit status is 1
+    if there is a problem.
 
     Example: smal recording verify drives
     """
@@ -77,40 +75,40 @@ def check(recordings: Paths, as_json: Json = False) -> None:
 @app.command("repair")
 def mend(
     recordings: Annotated[
-        list[Path], Argument(help="Recording (MCAP); several of one drive become one.")
+        list[Path], Argument(help="Recordings (MCAP); several parts of one drive are merged.")
     ],
     out: Annotated[
-        Path | None, Option(help="The repaired one. [default: NAME.mcap, or NAME-repaired.mcap]")
+        Path | None, Option(help="Repaired recording. [default: NAME.mcap, or NAME-repaired.mcap]")
     ] = None,
     replace: Annotated[
-        bool, Option("--replace", help="Put it in the place of the damaged one, or of --out.")
+        bool, Option("--replace", help="Replacement of the damaged recording, or of --out.")
     ] = False,
 ) -> None:
-    """Make a sealed recording of all that is whole in one that is damaged, was left behind, or is in several files.
+    """Create a sealed recording from one that is damaged, unfinished or in several parts.
 
-    Where a recorder was killed, what it recorded after its restart is in a file of its own. The damaged ones stay as
-    they are, but for --replace. Says what was lost.
+    After a crash the recorder continues in a new file. The damaged files stay unchanged without
+    --replace. Losses are reported.
 
     Example: smal recording repair drives/drive-1.mcap drives/drive-1-2.mcap --out drives/whole.mcap
     """
     if out is not None and out.exists() and not replace:
-        raise UsageError(f"--out {out}: is there already; give another name, or --replace")
+        raise UsageError(f"--out {out}: already exists; choose another name, or give --replace")
     outputs.check_file(out, "--out")
     made = out or usual_name(recordings[0], replace=replace)
     before, after = repair(recordings, made, replace=replace)
     if after is None:
-        typer.echo(f"{recordings[0]}: nothing is to be repaired")
+        typer.echo(f"{recordings[0]}: no repair needed")
         return
     count = sum(one.messages for episode in after.episodes for one in episode.topics.values())
     typer.echo(f"{made}: sealed, {counted(count, 'message')}")
     for line in (line for one in before for line in one.damage):
-        typer.echo(f"  it was: {line}")
+        typer.echo(f"  before: {line}")
     for line in after.findings:
         typer.echo(f"  lost:   {line}")
 
 
 def _each(paths: list[Path], read: Callable[[Path], Contents]) -> tuple[list[Contents], int]:
-    """Read each recording; return them, and how many are none, which is said on standard error."""
+    """Read each recording; return the contents and the number of failures, reported on stderr."""
     done = []
     found = find_recordings(paths)
     for path in found:
@@ -155,7 +153,10 @@ def _lines(contents: Contents) -> Iterator[str]:
     written = " ".join(
         f"{contents.about.get(name, '')}" for name in ("recorded_utc", "software")
     ).strip()
-    yield f"{contents.path}: {contents.size / 1e6:.1f} MB, {contents.state}{written and f', of {written}'}"
+    yield (
+        f"{contents.path}: {contents.size / 1e6:.1f} MB, "
+        f"{contents.state}{written and f', recorded {written}'}"
+    )
     for episode in contents.episodes:
         for name, value in _said(episode):
             yield f"  {name:9}  {value}"
@@ -169,7 +170,7 @@ def _lines(contents: Contents) -> Iterator[str]:
     if contents.views:
         yield f"  views      {contents.views} messages, {contents.views_size / 1e6:.2f} MB, for Foxglove and Rerun"
     if contents.others:
-        yield f"  others     {counted(contents.others, 'message')} on topics that are not ours"
+        yield f"  others     {counted(contents.others, 'message')} on unknown topics"
     if not contents.episodes:
         yield "  no episode"
 
@@ -178,7 +179,7 @@ def _said(episode: EpisodeContents) -> Iterator[tuple[str, str]]:
     said = episode.said
     yield "episode", f"{episode.episode} of {episode.robot}"
     if said:
-        judge = f" (says the {episode.judge})" if episode.judge else ""
+        judge = f" (judged by the {episode.judge})" if episode.judge else ""
         ticks = ", ".join(
             f"{name} {count}" for name, count in sorted(episode.drove.items()) if count
         )
@@ -186,14 +187,14 @@ def _said(episode: EpisodeContents) -> Iterator[tuple[str, str]]:
             "purpose",
             f"{said['purpose']} to {said['goal']} in {said['world']}, seed {said['seed']}",
         )
-        yield "outcome", f"{episode.outcome or 'its end was not recorded'}{judge}"
+        yield "outcome", f"{episode.outcome or 'end not recorded'}{judge}"
         yield "driver", f"{said['driver']}{ticks and f' (ticks: {ticks})'}"
-    way = "" if episode.odometry_m is None else f", {episode.odometry_m:.1f} m by the wheels"
+    way = "" if episode.odometry_m is None else f", {episode.odometry_m:.1f} m by odometry"
     yield "length", f"{episode.seconds:.1f} s, {episode.frames} frames{way}"
     if episode.width is not None:
         view = (
             ""
             if episode.field_of_view_deg is None
-            else f", {episode.field_of_view_deg:.0f} degrees across"
+            else f", {episode.field_of_view_deg:.0f} degrees wide"
         )
         yield "camera", f"{episode.width}x{episode.height}{view}"

@@ -1,4 +1,4 @@
-"""``smal replay``: a recording on the topics, in the place of its robot."""
+"""``smal replay``: publish a recording in place of its robot."""
 
 import secrets
 import sys
@@ -19,28 +19,30 @@ from services.kit.node import Node
 from services.recordings.replay import REPLAYABLE, Tick, Track, end_of, tracks_of
 from services.robot.service import ROBOT, check_alone
 
-LISTENERS_S: Final = (
-    2.0  # How long to wait for somebody who takes the images; what is told before would be lost.
-)
+# Timeout for a subscriber of the images; earlier messages are lost without one.
+LISTENERS_S: Final = 2.0
 
 
 def replay(
     *,
     recording: Annotated[Path, Argument(help="Recording (MCAP).")],
     rate: Annotated[
-        float, Option(min=0.01, max=100.0, help="How many times as fast as it was.")
+        float, Option(min=0.01, max=100.0, help="Playback speed (1 = real time).")
     ] = 1.0,
-    step: Annotated[bool, Option("--step", help="Go on by one frame at each Enter.")] = False,
+    step: Annotated[
+        bool, Option("--step", help="Step mode: Enter publishes the next frame.")
+    ] = False,
     names: Annotated[
-        str, Option("--topics", help="Only these, with commas between.", metavar="NAMES")
+        str, Option("--topics", help="Topics to replay, comma-separated.", metavar="NAMES")
     ] = ",".join(REPLAYABLE),
     reach: options.Reach,
 ) -> None:
-    """Put a recording on the topics, with its timing, so that what follows the robot runs without one.
+    """Publish a recording with its timing, so that a stack runs without a robot.
 
-    Features, recognition and policy answer as they would have; their stack is `smal up --robot-body none`. What a robot
-    and its camera tell is replayed, under the id of a new episode and with stamps of today; never a command, whoever
-    gave it. A robot of this id must not be there. With --secure it is done with the robot's own certificate.
+    The stack is `smal up --robot-body none`; its features, recognition and policy answer as usual.
+    The topics of the robot and its camera are published with the id of a new episode and current
+    timestamps. Commands are never replayed. A robot with the same id must not run. With --secure
+    the command uses the robot's certificate.
 
     Example: smal replay drives/drive-1.mcap --rate 2
     """
@@ -48,16 +50,17 @@ def replay(
     for name in chosen:
         if name not in REPLAYABLE:
             raise UsageError(
-                f"--topics: {name!r} is not replayed; these are: {', '.join(REPLAYABLE)}"
+                f"--topics: {name!r} is unsupported; choose from {', '.join(REPLAYABLE)}"
             )
     wanted = {name: topic for name, topic in REPLAYABLE.items() if name in chosen}
     tracks = tracks_of(recording)
-    # Until this is over no robot of this id starts either: they ask as we do.
+    # Robots run the same check, so no robot with this id starts until the replay ends.
     check_alone(
-        reach.settings, "end it first; the stack without a robot is `smal up --robot-body none`"
+        reach.settings,
+        "end it first; start a stack without a robot with `smal up --robot-body none`",
     )
     with Node(ROBOT, reach.settings) as node:
-        node.spin(timeout_s=0.0)  # From now on it answers as ready.
+        node.spin(timeout_s=0.0)  # From here on it reports that it is ready.
         if JPEG.name in wanted:
             _await_listeners(node)
         session = secrets.token_hex(6)
@@ -68,11 +71,11 @@ def replay(
             )
             player.run(_by_hand if step else _by_clock(rate))
             if track.bad:
-                sys.stderr.write(f"smal: {track.bad} messages do not decode and were left out\n")
+                sys.stderr.write(f"smal: left out {track.bad} undecodable messages\n")
 
 
 def _by_clock(rate: float) -> Callable[[Tick], bool]:
-    """Make what waits until a tick is due, and always goes on."""
+    """Create a function that waits until a tick is due and always continues."""
     began_s = time.monotonic()
 
     def wait(tick: Tick) -> bool:
@@ -83,13 +86,13 @@ def _by_clock(rate: float) -> Callable[[Tick], bool]:
 
 
 def _by_hand(tick: Tick) -> bool:
-    sys.stderr.write(f"tick {tick.number}; Enter goes on, Ctrl-D ends: ")
+    sys.stderr.write(f"tick {tick.number}; Enter continues, Ctrl-D ends: ")
     sys.stderr.flush()
     return sys.stdin.readline() != ""
 
 
 class Player:
-    """Tells what a robot told in one episode, by the id of a new one: the topics that are wanted."""
+    """Publishes the selected topics of a recorded episode under the id of a new episode."""
 
     def __init__(self, node: Node, track: Track, episode: str, wanted: dict[str, Topic]) -> None:
         self.episode = episode
@@ -105,7 +108,7 @@ class Player:
         }
 
     def run(self, wait: Callable[[Tick], bool]) -> None:
-        """Tell each tick when `wait` has returned, or up to where it says that this is the end."""
+        """Publish each tick after `wait` returns; stop when `wait` reports the end."""
         ticks = self._track.play(self._node.robot, self.episode, time.time_ns(), self._wanted)
         try:
             # disable=None: no bar in a pipe or a log.
@@ -131,7 +134,7 @@ def _await_listeners(node: Node) -> None:
         if time.monotonic() > deadline_s:
             stack = f"smal up --robot-body none --robot {node.robot}"
             sys.stderr.write(
-                f"smal: nobody takes {JPEG.name} of {node.robot}; is its stack up? ({stack})\n"
+                f"smal: no subscriber for {JPEG.name} of {node.robot}; start its stack ({stack})\n"
             )
             return
         time.sleep(0.02)

@@ -1,4 +1,4 @@
-"""``smal run``: the robot searches by itself with a learned model."""
+"""``smal run``: search with a learned model."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -26,25 +26,28 @@ from smal.evaluation.precision_recall import wilson_interval
 from smal.features import FeatureSettings
 from smal.model import Model
 
-FRAMES_APART = 20  # Camera images kept of every run for the report, one in so many frames.
+FRAMES_APART = 20  # Spacing of the camera images for the report, frames.
 
 
 @dataclass(frozen=True)
 class Runs:
-    """How many runs there are, and how they begin and end."""
+    """Number, start and end of the runs."""
 
     episodes: Annotated[int, Option(min=1, help="Number of runs.")] = 20
     seed: options.Seed = 1
     start: Annotated[
-        Start, Option(help="Place of the start: about the world's, or anywhere beside the way.")
+        Start, Option(help="Start: near the world's start, or anywhere beside the route.")
     ] = "start"
     kidnap: Annotated[
-        int | None, Option(min=1, metavar="TICK", help="Frame at which the robot is carried away.")
+        int | None,
+        Option(
+            min=1, metavar="TICK", help="Frame at which the robot is moved elsewhere (kidnapped)."
+        ),
     ] = None
     realtime: Annotated[
-        bool, Option(help="Running clock, instead of waiting for every command.")
+        bool, Option(help="Real-time clock, instead of waiting for every command.")
     ] = False
-    max_ticks: Annotated[int | None, Option(min=1, help="Frames after which a run times out.")] = (
+    max_ticks: Annotated[int | None, Option(min=1, help="Maximum number of frames of a run.")] = (
         None
     )
 
@@ -70,16 +73,16 @@ class Runs:
 
 @dataclass(frozen=True)
 class RunFiles:
-    """Where results are written."""
+    """Files of the results."""
 
     json_file: options.JsonFile = None
-    report: Annotated[Path | None, Option(help="Folder for a page of results, with pictures.")] = (
+    report: Annotated[Path | None, Option(help="Folder for a page of results with pictures.")] = (
         None
     )
     record: Annotated[Path | None, Option(help="Folder for recordings of the runs.")] = None
 
     def check(self, read: tuple[str | Path, ...]) -> None:
-        """Make the folders, and check that the file can be written apart from all that is read."""
+        """Create the folders and check that the file differs from all input."""
         outputs.check_file(self.json_file, "--json", read)
         for folder, option in ((self.report, "--report"), (self.record, "--record")):
             if folder is not None:
@@ -88,7 +91,7 @@ class RunFiles:
 
 def run(
     *,
-    model: Annotated[Path, Option(help="Model file, made by `smal learn`.")],
+    model: Annotated[Path, Option(help="Model file, created by `smal learn`.")],
     world: options.World = None,
     runs: Runs,
     use: options.Use,
@@ -98,12 +101,13 @@ def run(
     modalities: options.Modalities = None,
     stack: options.RunOptions,
 ) -> None:
-    """Let the robot find the victim by itself, and count how often it does.
+    """Run searches with a learned model and count the successes.
 
-    The starts differ from those of demonstrations with the same seed. Without --connect a stack of its own is started.
+    The starts differ from those of demonstrations with the same seed. Without --connect the command
+    starts a stack and stops it at the end.
 
-    A robot that --kidnap carries away goes on at another place beside the way. Without --max-ticks a run times out
-    after three times the frames of the longest taught drive, and at least 3000.
+    With --kidnap the robot is moved to another place beside the route during the run. Without
+    --max-ticks a run times out after three times the longest taught drive, at least 3000 frames.
 
     Example: smal run --model campus.smal --world campus --episodes 20 --seed 1 --json runs.json
 
@@ -128,7 +132,7 @@ def run(
             searcher = _Searcher(model, loaded, use)
             records.extend(_run_all(requests, access, searcher, files, name))
     finally:
-        # Also when a later run fails, or is interrupted: the finished runs have cost their time.
+        # Keep the results of finished runs after a failure or an interruption.
         if files.json_file is not None and records:
             outputs.write_json(files.json_file, "--json", summarize(asked, records))
     summary = summarize(asked, records)
@@ -140,14 +144,14 @@ def run(
 
 
 class _Searcher(NamedTuple):
-    """A model, and how it is used."""
+    """A model and its use."""
 
     path: Path
     model: AnyModel
     use: options.Use
 
     def load(self, bus: Bus) -> None:
-        """Have the services load the model."""
+        """Load the model in the services."""
         for service in CHAIN:
             name = name_for(bus, service, self.path, "--model")
             request = LoadRequest(model=name, stride=self.use.stride, goal=self.use.goal)
@@ -155,7 +159,7 @@ class _Searcher(NamedTuple):
         self.check(bus)
 
     def check(self, bus: Bus) -> None:
-        """Raise JobError when a service has another model: when started again, it has that of its stack."""
+        """Raise JobError if a service has another model: a restarted service loads the stack's model."""
         _check_models(bus, identity_of(self.model), self.use.goal)
 
 
@@ -175,11 +179,11 @@ def _run_all(
         with recording(bus, files.record, "--record") if files.record else nullcontext():
             _check_features(bus, searcher.model.feature_settings)
             for one in client.run_all(requests, access, "running", world=world):
-                if one.outcome == "aborted":  # Without a command it is no result of the model.
+                if one.outcome == "aborted":  # A run without commands is not a result of the model.
                     where = f" ({access.logs})" if access.logs else ""
                     raise JobError(
-                        f"run with seed {one.request.seed}: no command came; see the logs of "
-                        f"recognition and policy{where}"
+                        f"run with seed {one.request.seed}: no command received; see the logs "
+                        f"of recognition and policy{where}"
                     )
                 searcher.check(bus)
                 yield one
@@ -198,7 +202,7 @@ def _lines(summary: Mapping[str, Any], records: list[EpisodeRecord]) -> Iterator
 
 
 def summarize(world: str | None, records: list[EpisodeRecord]) -> dict[str, Any]:
-    """Return the results as ``--json`` writes them; the robot says where it is unless a world was asked for."""
+    """Return the results for ``--json``; the world is the robot's unless one was requested."""
     found = sum(record.outcome == "found" for record in records)
     latencies = [
         ms
@@ -227,19 +231,19 @@ def summarize(world: str | None, records: list[EpisodeRecord]) -> dict[str, Any]
 
 
 def _check_features(bus: Bus, wanted: FeatureSettings) -> None:
-    """Refuse a stack that makes other features than the model was learned on: recognition would take no frame."""
+    """Raise JobError unless the stack computes the features of the model."""
     detail = bus.call("features", "status", Nothing(), Status).detail
     if detail.get("fingerprint") != wanted.fingerprint:
         names = ",".join(wanted.modalities)
         made = str(detail.get("modalities")).replace(" ", ",")
         raise JobError(
-            f"the model was learned on the features {names}, and the stack makes {made}; "
-            f"start it with `smal up --modalities {names}`"
+            f"the model uses the features {names}, but the stack computes {made}; start it "
+            f"with `smal up --modalities {names}`"
         )
 
 
 def _check_models(bus: Bus, identity: str, goal: str | None) -> None:
-    """Refuse results of another model: services that were started again have that of their stack."""
+    """Raise JobError unless the services use this model: a restarted service loads the stack's model."""
     for service in CHAIN:
         detail = bus.call(service, "status", Nothing(), Status).detail
         for name, found, wanted in (
@@ -248,6 +252,6 @@ def _check_models(bus: Bus, identity: str, goal: str | None) -> None:
         ):
             if found != wanted:
                 raise JobError(
-                    f"{service} has {name} {found or 'none'}, not {wanted or 'none'} as --{name}; "
-                    "it was started again, or loaded another one: run again"
+                    f"{service}: {name} is {found or 'none'}, not {wanted or 'none'} as "
+                    f"--{name}; the service restarted or loaded another {name}: run again"
                 )

@@ -1,4 +1,4 @@
-"""``smal secure``: who may do what on a robot's bus, by certificates."""
+"""``smal secure``: permissions on a robot's bus by certificates."""
 
 import json
 import socket
@@ -17,20 +17,20 @@ from services.kit.errors import UsageError
 from services.kit.process import EXIT_FAILED
 from services.table import roles
 
-#: What deploy/secure.yml shows Eclipse's router.
+#: Paths at which deploy/secure.yml mounts the certificate in Eclipse's router.
 ZENOHD_SEES: Final = Certificate(
     *(Path("/run/secrets") / name for name in ("ca.pem", "cert.pem", "key.pem"))
 )
 ZENOHD_FILE: Final = "zenohd.json5"
 Folder = Annotated[Path, Argument(help="Folder of the certificates.", metavar="DIR")]
 Hosts = Annotated[
-    list[str] | None, Option("--host", help="Name or address of the router; may be repeated.")
+    list[str] | None, Option("--host", help="Name or address of the router; repeatable.")
 ]
-Days = Annotated[float, Option(min=0, max=3650, help="How long the certificates are valid.")]
+Days = Annotated[float, Option(min=0, max=3650, help="Validity of the certificates, days.")]
 
 app = typer.Typer(
-    help="Make and check the certificates by which the router knows who may do what.\n\n"
-    "Example: smal secure init keys, and then: smal up --secure keys",
+    help="Create and check the certificates that define permissions on a robot's "
+    "bus.\n\nExample: smal secure init keys, and then: smal up --secure keys",
     **STYLE,
 )
 
@@ -43,16 +43,16 @@ def init(
     days: Days = DAYS,
     robots: options.Robots = 1,
 ) -> None:
-    """Make a certificate authority, a certificate of every role and of the engine, and the rules of Eclipse's router.
+    """Create a certificate authority, a certificate for every role, and rules for Eclipse's router.
 
-    The engine's is for schedulers of Dask and their workers (`smal evaluate --scheduler`), and for nothing else. Give
-    each machine ca.pem and the certificate and key of what runs there, and keep ca.key where no robot is: whoever has
-    it can be anybody.
+    The engine's certificate is for Dask schedulers and their workers only (`smal evaluate
+    --scheduler`). Copy to each machine ca.pem and the certificate and key of its role. Keep ca.key
+    away from robots: its holder can take any role.
 
     Example: smal secure init keys --host robot.example
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise UsageError(f"{folder}: is there already; `smal secure renew` makes new certificates")
+        raise UsageError(f"{folder}: already exists; `smal secure renew` creates new certificates")
     hosts = _hosts(host)
     names = options.fleet_of(robot, robots)
     settings = zenohd_configuration("tls/0.0.0.0:7447", names, ZENOHD_SEES)
@@ -67,7 +67,9 @@ def init(
 
 @app.command("check")
 def check(folder: Folder) -> None:
-    """Look at every certificate in a folder; exit status 1 where one is expired, or not what it should be.
+    """Check every certificate in a folder.
+
+    The exit status is 1 if a certificate is expired or invalid.
 
     Example: smal secure check keys
     """
@@ -80,43 +82,45 @@ def check(folder: Folder) -> None:
 
 @app.command("renew")
 def renew(folder: Folder, host: Hosts = None, days: Days = DAYS) -> None:
-    """Make new certificates of every role, signed by the newest authority; the router's for the same hosts, and more.
+    """Create new certificates for every role, signed by the newest authority.
 
-    The router's keeps the names that it has; --host adds more. A process shows its new one when it connects again; the
-    router, when it is started again.
+    The router's certificate keeps its host names; --host adds more. A process uses its new
+    certificate at the next connection, the router at its next start.
 
     Example: smal secure renew keys
     """
     certificates.issue(folder, (*_hosts(host), *certificates.names_of_router(folder)), days)
-    typer.echo(f"new certificates in {folder}; start the router again, so that it shows its own")
+    typer.echo(f"new certificates in {folder}; restart the router to use its new certificate")
 
 
 @app.command("rotate")
 def rotate(folder: Folder) -> None:
-    """Make a new authority beside the one there is, so that the certificates of both are taken.
+    """Create a new authority beside the existing one; both are trusted.
 
-    Then: start the router again, `smal secure renew`, start the router again, `smal secure retire`, start the router
-    again; each time when the new files are where they are used. The robot stands while the router starts, for about a
-    second each time, and goes on; with an operator there, who is lost meanwhile, when they arm it again.
+    Then, distributing the new files before each restart: restart the router, `smal secure renew`,
+    restart the router, `smal secure retire`, restart the router. The robot stands for about a
+    second
+    during a restart and continues. If an operator is present, the operator must arm it again.
 
     Example: smal secure rotate keys
     """
     certificates.begin(folder, certificates.robot_of(certificates.read_authority(folder)))
     typer.echo(
-        f"{folder} knows the old authority and a new one; start the router again, then: smal secure renew"
+        f"{folder} trusts the old authority and a new one; restart the router, then run: smal "
+        "secure renew"
     )
 
 
 @app.command("retire")
 def retire(folder: Folder) -> None:
-    """Forget every authority but the newest: what the others have signed is taken no more.
+    """Remove every authority but the newest, and with them trust in their certificates.
 
     Example: smal secure retire keys
     """
     if certificates.retire(folder):
-        typer.echo(f"{folder} knows the newest authority alone; start the router again")
+        typer.echo(f"{folder} trusts the newest authority alone; restart the router")
     else:
-        typer.echo(f"{folder} has one authority; nothing to forget")
+        typer.echo(f"{folder} has one authority; no change")
 
 
 def _hosts(more: list[str] | None) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""The processes of a stack on this machine: started together, watched, and stopped together."""
+"""Processes of a stack on this machine: started, supervised and stopped together."""
 
 import logging
 import os
@@ -25,29 +25,28 @@ STOP_TIMEOUT_S: Final = 5.0
 # Least time between two starts of a service, doubled with every death, seconds.
 FIRST_S = 1.0
 LONGEST_S = 30.0
-STEADY_S: Final = 60.0  # A service that has lived this long is taken for healthy again.
-PATIENCE_S: Final = (
-    600.0  # A slow machine takes minutes to build a large world; whoever waits may end it.
-)
+STEADY_S: Final = 60.0  # Lifetime after which a service counts as healthy again, seconds.
+# A slow machine builds a large world in minutes.
+PATIENCE_S: Final = 600.0
 _TELL_S: Final = 10.0
 #: Services of which one instance serves several robots.
 GROUPED: Final = tuple(service.name for service in SERVICES.values() if service.grouped)
-#: What a process is told of its certificate: each service of a stack has another one.
+#: Environment variables for the certificate, which differs between services of a stack.
 _KEYS: Final = ("SMAL_SECURE", "SMAL_TLS_CA", "SMAL_TLS_CERT", "SMAL_TLS_KEY")
-#: By service, the robots that each instance serves.
+#: By service and instance, the robots served.
 Instances = dict[str, dict[str, list[str]]]
 _log = logging.getLogger("stack")
 
 
 def free_endpoint() -> str:
-    """Return a router address on this machine whose port nobody uses."""
+    """Return the address of a free port on this machine for a router."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def flags(**values: object) -> tuple[str, ...]:
-    """Turn keyword arguments into flags of a service; None leaves one out."""
+    """Convert keyword arguments to command line flags; omit None."""
     given = {name: str(value) for name, value in values.items() if value is not None}
     return tuple(
         part for name, value in given.items() for part in (f"--{name.replace('_', '-')}", value)
@@ -55,7 +54,7 @@ def flags(**values: object) -> tuple[str, ...]:
 
 
 def routers_at(endpoint: str) -> dict[str, str]:
-    """Return the addresses of a stack's routers, which commas separate, by the names of their children."""
+    """Return the addresses of a stack's routers (comma-separated) by process name."""
     return {
         f"router-{k}" if k > 1 else "router": address
         for k, address in enumerate(addresses(endpoint), 1)
@@ -64,27 +63,23 @@ def routers_at(endpoint: str) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class StackPlan:
-    """What to start."""
+    """Services of a stack and their settings."""
 
-    services: tuple[str, ...]  # Names out of `services.table`, the router first.
+    services: tuple[str, ...]  # Names of `services.table`, the router first.
     robot: str
-    endpoint: (
-        str  # Address of the stack's own router; commas separate several, of which each is started.
-    )
-    flags: Mapping[str, tuple[str, ...]] = field(
-        default_factory=dict
-    )  # Command line flags of single services.
-    secure: Path | None = (
-        None  # Folder of certificates; without one whoever reaches the router gets in.
-    )
-    logs: Path | None = (
-        None  # Folder for one log file a service; None lets them write to this terminal.
-    )
-    robots: int = 1  # Of the fleet, each with its robot, recorder and page; whatever is grouped serves all of them.
-    scale: Mapping[str, int] = field(
-        default_factory=dict
-    )  # Instances of grouped services; one if not given.
-    #: What ``python -m`` runs in place of a process's own module, for example the first robot with another body.
+    # Addresses of the stack's own routers, comma-separated; a router starts at each.
+    endpoint: str
+    # Command line flags by service.
+    flags: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    # Folder of certificates; without it, access is open to anyone who reaches the router.
+    secure: Path | None = None
+    # Folder for one log file per service; None logs to this terminal.
+    logs: Path | None = None
+    # Each robot has its own body, recorder and page; grouped services serve all robots.
+    robots: int = 1
+    # Number of instances of grouped services, by default 1.
+    scale: Mapping[str, int] = field(default_factory=dict)
+    #: Modules that replace those of a process, for example another body of the first robot.
     modules: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -93,7 +88,7 @@ class StackPlan:
         return fleet(self.robot, self.robots)
 
     def processes(self) -> dict[str, tuple[str, str]]:
-        """Return by name which service each process runs, and for which robot; from the second on they are numbered."""
+        """Return the service and robot of each process; names are numbered from the second on."""
         found = {}
         for service in self.services:
             many = (
@@ -110,7 +105,7 @@ class StackPlan:
 
 @dataclass
 class _Child:
-    """A service's process, when it was started, and the least time from that start to the next one."""
+    """Process of a service, its start time, and the minimum time to the next start."""
 
     process: subprocess.Popen[bytes]
     began_s: float
@@ -119,12 +114,12 @@ class _Child:
 
 
 def next_spacing_s(spacing_s: float, lived_s: float) -> float:
-    """Return the least time to the start after next: who keeps dying is started less and less often."""
+    """Return the minimum time to the start after next, which doubles when a service keeps ending."""
     return FIRST_S if lived_s >= STEADY_S else min(2.0 * spacing_s, LONGEST_S)
 
 
 class Stack:
-    """Several services as child processes; a context manager that leaves none behind."""
+    """Context manager for the services of a stack as child processes."""
 
     def __init__(self, plan: StackPlan) -> None:
         self.plan = plan
@@ -134,7 +129,7 @@ class Stack:
 
     @property
     def settings(self) -> ServiceSettings:
-        """How to reach it; nothing but the plan says who gets in."""
+        """The settings of the connection, without the certificate of the environment."""
         return ServiceSettings(
             robot=self.plan.robot,
             router=self.plan.endpoint,
@@ -148,7 +143,7 @@ class Stack:
         try:
             for router in self._routers:
                 self._start(router)
-            # The others would each give up on a router that takes longer than their patience.
+            # Otherwise a slow router exceeds the connection timeout of the other services.
             with closing(self._reach_routers()) as bus, ExitStack() as opened:
                 buses = {
                     robot: opened.enter_context(closing(bus.of_robot(robot)))
@@ -159,7 +154,7 @@ class Stack:
                     service, robot = self._processes[process]
                     if SERVICES[
                         service
-                    ].grouped:  # Whichever instance answers, each robot is served.
+                    ].grouped:  # Any instance can answer; every robot must be served.
                         told = [
                             answers(one, service) for one in buses.values() if process == service
                         ]
@@ -179,16 +174,16 @@ class Stack:
         self.stop()
 
     def check(self) -> None:
-        """Raise JobError, with the last line of its log, if a service has ended."""
+        """Raise JobError with the last line of its log if a service has ended."""
         for service in self._dead():
             raise JobError(self._epitaph(service))
 
     def pid(self, service: str) -> int:
-        """Return the process id of a service, or of one of several routers (`routers_at`)."""
+        """Return the process id of a service or router (`routers_at`)."""
         return self._children[service].process.pid
 
     def restart_dead(self) -> list[str]:
-        """Start again the services that have ended, one that keeps dying ever less often; return which."""
+        """Restart services that have ended, with growing delays, and return their names."""
         started = []
         for service in self._dead():
             child = self._children[service]
@@ -197,14 +192,14 @@ class Stack:
             if not child.mourned:
                 child.mourned = True
                 when = f"in {wait_s:.1f} s" if wait_s else "now"
-                _log.warning("%s; it is started again %s", self._epitaph(service), when)
+                _log.warning("%s; restarting %s", self._epitaph(service), when)
             if not wait_s:
                 self._start(service, next_spacing_s(child.spacing_s, lived_s))
                 started.append(service)
         return started
 
     def stop(self) -> None:
-        """Ask every service to stop, router last, and end those that do not within five seconds."""
+        """Stop every service, routers last; kill a service after five seconds."""
         routers = [service for service in self._children if service in self._routers]
         for group in ([service for service in self._children if service not in routers], routers):
             for service in group:
@@ -231,7 +226,7 @@ class Stack:
             environment["SMAL_SECURE"] = str(plan.secure.resolve())
         if process in self._routers:
             routers = [*self._routers.values()] if len(self._routers) > 1 else []
-            further = environment.get("SMAL_PEERS")  # Of other machines.
+            further = environment.get("SMAL_PEERS")  # Routers on other machines.
             peers = ",".join([*([further] if further else []), *routers])
             environment |= {"SMAL_ROUTER": self._routers[process], "SMAL_PEERS": peers}
         module = plan.modules.get(process)
@@ -241,7 +236,7 @@ class Stack:
         )
         if plan.logs is not None:
             plan.logs.mkdir(parents=True, exist_ok=True)
-        # In a session of its own, so that Ctrl-C reaches this process alone; `tied` ends it with this one.
+        # A session of its own, so that Ctrl-C reaches this process alone; `tied` ends the child.
         with (
             nullcontext() if plan.logs is None else (plan.logs / f"{process}.log").open("ab") as log
         ):
@@ -251,7 +246,7 @@ class Stack:
         self._children[process] = _Child(child, time.monotonic(), spacing_s)
 
     def _reach_routers(self) -> Bus:
-        """Connect to each router; notice at once when one could not start."""
+        """Connect to each router; fail at once if a router ends."""
         reached: dict[str, Bus] = {}
 
         def is_reached(router: str) -> bool:
@@ -267,7 +262,7 @@ class Stack:
         return bus
 
     def _wait(self, services: Sequence[str], is_ready: Callable[[str], object]) -> None:
-        """Wait until services are ready, and tell which is not and what it said last."""
+        """Wait until services are ready; log the pending services and the last lines of their logs."""
         began_s = told_s = time.monotonic()
         while services := [service for service in services if not is_ready(service)]:
             self.check()
@@ -278,8 +273,8 @@ class Stack:
                 raise JobError(f"not ready after {now_s - began_s:.0f} s: {', '.join(doing)}")
             if now_s - told_s >= _TELL_S:
                 told_s = now_s
-                _log.warning("waiting, %.0f s so far, for %s", now_s - began_s, ", ".join(doing))
-            # Less often the longer it takes: to answer is work as well.
+                _log.warning("waiting for %.0f s for %s", now_s - began_s, ", ".join(doing))
+            # Poll less often over time: answering takes work as well.
             time.sleep(max(0.05, (now_s - began_s) / 50.0))
 
     def _dead(self) -> list[str]:
@@ -291,10 +286,10 @@ class Stack:
         status = self._children[service].process.returncode
         if status < 0:
             return f"{service} was killed by {signal.Signals(-status).name}"
-        return f"{service}: {self._last_line(service) or f'it ended with status {status}'}"
+        return f"{service}: {self._last_line(service) or f'ended with status {status}'}"
 
     def _last_line(self, service: str) -> str:
-        """Return what a service said last; nothing where it said it to this terminal."""
+        """Return the last line of a service's log; "" if it logs to this terminal."""
         if self.plan.logs is None:
             return ""
         lines = (self.plan.logs / f"{service}.log").read_text(errors="replace").strip().splitlines()
@@ -302,7 +297,7 @@ class Stack:
 
 
 def answers(bus: Bus, service: str) -> Status | None:
-    """Ask a service for its status; None where it does not answer."""
+    """Return the status of a service, or None if it does not answer."""
     try:
         return bus.call(service, "status", Nothing(), Status, timeout_s=1.0, patience_s=0.0)
     except RpcError:
@@ -310,7 +305,7 @@ def answers(bus: Bus, service: str) -> Status | None:
 
 
 def instances(bus: Bus) -> Instances:
-    """Return of each grouped service that answers which instance serves which robots of the fleet."""
+    """Return the robots that each running instance of each grouped service serves."""
     router = answers(bus, "router")
     robots = fleet(bus.robot, int(router.detail.get("robots") or 1)) if router is not None else ()
     found: Instances = {}
@@ -326,11 +321,11 @@ def instances(bus: Bus) -> Instances:
 
 @dataclass(frozen=True)
 class Access:
-    """A stack that can be used."""
+    """A usable stack."""
 
     settings: ServiceSettings
-    check: Callable[[], None]  # Raises JobError when one of its processes has ended.
-    logs: Path | None  # Folder of its services' logs; None for a stack that was running before.
+    check: Callable[[], None]  # Raises JobError if a process of the stack has ended.
+    logs: Path | None  # Folder of the services' logs; None for a stack that ran before.
 
 
 @contextmanager
@@ -341,7 +336,7 @@ def stack_for(
     service_flags: Mapping[str, tuple[str, ...]],
     logs: Path | None = None,
 ) -> Iterator[Access]:
-    """Use a running stack, or start one for as long as the context lasts; only this machine reaches that."""
+    """Connect to a running stack, or start a temporary stack that only this machine can reach."""
     if running is not None:
         yield Access(running, lambda: None, None)
         return

@@ -13,13 +13,13 @@ def teleop(
     *,
     reach: options.Reach,
     seed: Annotated[
-        int | None, Option(min=0, help="Seed of the first episode; random if not given.")
+        int | None, Option(min=0, help="Seed of the first episode. [default: random]")
     ] = None,
     goal: options.GoalOfDrives = "victim",
 ) -> None:
-    """Drive with the keyboard: arrows or w a s d, held; n begins an episode.
+    """Drive a robot with the keyboard: hold arrows or w a s d; n begins an episode.
 
-    What you drive is recorded by the stack's recorder and teaches like the expert's drives.
+    The stack's recorder records your drives; they teach like those of the expert.
 
     Example: smal teleop --seed 1
     """

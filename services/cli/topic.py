@@ -1,4 +1,4 @@
-"""``smal topic``: what can be heard on the bus, and what is heard."""
+"""``smal topic``: describe, print and measure the topics on the bus."""
 
 import json
 from contextlib import closing
@@ -19,16 +19,17 @@ from services.kit.errors import UsageError
 from services.table import SERVICES, givers, graph, takers
 
 app = typer.Typer(
-    help="List the topics; listen to them.\n\nExample: smal topic echo state --count 5", **STYLE
+    help="List topics; print and measure messages.\n\nExample: smal topic echo state --count 5",
+    **STYLE,
 )
 
 
 @app.command("list")
 def list_topics(
     as_json: options.Json = False,
-    as_markdown: Annotated[bool, Option("--markdown", help="Print a Markdown table.")] = False,
+    as_markdown: Annotated[bool, Option("--markdown", help="Output as a Markdown table.")] = False,
 ) -> None:
-    """List every topic; needs no running stack.
+    """List every topic; works without a running stack.
 
     Example: smal topic list --json
     """
@@ -51,16 +52,14 @@ def info(
     robot: options.Robot = options.DEFAULT_ROBOT,
     as_json: options.Json = False,
 ) -> None:
-    """Describe one topic; needs no running stack.
-
-    The JSON Schema of its messages is part of it.
+    """Describe a topic and the JSON Schema of its messages; works without a running stack.
 
     Example: smal topic info command/teleop
     """
     topic = TOPICS.get(name) or topic_of(name)
     if topic is None:
         near = get_close_matches(name, TOPICS, n=1) or ["smal topic list"]
-        raise UsageError(f"no topic {name!r}; did you mean: {near[0]}?")
+        raise UsageError(f"topic {name!r} not found; did you mean {near[0]}?")
     row = _row(topic) | {
         "key": topic.key(robot),
         "encoding": encoding_of(topic.message),
@@ -80,11 +79,13 @@ def info(
 def draw_graph(
     *,
     live: Annotated[
-        bool, Option("--live", help="Only who runs, with instances and whom they serve.")
+        bool, Option("--live", help="Running services only, with their instances and robots.")
     ] = False,
     reach: options.Reach,
 ) -> None:
-    """Draw services and topics as a Mermaid flowchart; needs no running stack, unless it is to show who runs.
+    """Draw services and topics as a Mermaid flowchart.
+
+    Only --live needs a running stack.
 
     Example: smal topic graph > graph.mmd
     """

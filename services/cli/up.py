@@ -1,4 +1,4 @@
-"""``smal up``: the whole stack on this machine, without Docker."""
+"""``smal up``: run a whole stack on this machine, without Docker."""
 
 import logging
 import re
@@ -22,17 +22,17 @@ from services.kit.settings import fleet
 from services.table import role_of, stack_services
 from smal.features import FeatureSettings
 
-WATCH_S: Final = 0.5  # Period of the search for dead services, seconds.
+WATCH_S: Final = 0.5  # Period of the check for ended services, seconds.
 CAMERA: Final = CameraOptions(640, 480)
 LAST_PORT: Final = 65535
-MOST_FURTHER: Final = 8  # A quarter of the router's sessions that are for a stack.
+MOST_FURTHER: Final = 8  # A quarter of the router's sessions for a stack.
 _NONE: Final = "none"
 _SIMULATOR: Final = "simulator"
 
 
 @dataclass(frozen=True)
 class ModelUse(options.Use):
-    """The model of recognition and policy."""
+    """Model of recognition and policy."""
 
     model: Annotated[
         Path | None, Option(help="Model that recognition and policy load at the start.")
@@ -46,13 +46,13 @@ class ModelUse(options.Use):
             return flags(**used | {"model": self.model.resolve()}), model.feature_settings
         for name, value in used.items():
             if value is not None:
-                raise UsageError(f"--{name} {value}: needs --model")
+                raise UsageError(f"--{name} {value}: requires --model")
         return (), None
 
 
 @dataclass(frozen=True)
 class StackFiles:
-    """Where clients and recorders read and write."""
+    """Folders of clients and recorders."""
 
     root: Annotated[
         Path,
@@ -68,7 +68,7 @@ class StackFiles:
     )
 
     def recordings_of(self, robots: tuple[str, ...]) -> dict[str, Path | None]:
-        """Make the folder of each robot, the first robot's above the others'."""
+        """Create a folder for each robot; the first robot's folder contains the others."""
         folder = self.recordings
         if folder is None:
             return dict.fromkeys(robots)
@@ -80,17 +80,17 @@ class StackFiles:
 
 @dataclass(frozen=True)
 class Ports:
-    """Where pages and metrics are."""
+    """Ports of pages and metrics."""
 
     metrics_port: Annotated[
-        int | None, Option(min=1, max=LAST_PORT, help="First of the ports for health and metrics.")
+        int | None, Option(min=1, max=LAST_PORT, help="First port for health and metrics.")
     ] = None
     console: Annotated[
         str, Option(envvar="SMAL_CONSOLE", help="Address of the web page, HOST:PORT, or none.")
     ] = "127.0.0.1:8080"
 
     def pages(self, robots: tuple[str, ...], root: Path) -> dict[str, str]:
-        """Return the address of each robot's page, at ports that follow; check that each is free."""
+        """Return the address of each robot's page, on consecutive free ports."""
         if self.console == _NONE:
             return {}
         host, _, port = self.console.rpartition(":")
@@ -107,35 +107,40 @@ class Ports:
             return {}
         if self.metrics_port + len(processes) - 1 > LAST_PORT:
             raise UsageError(
-                f"--metrics-port {self.metrics_port}: {len(processes)} processes need as many ports"
+                f"--metrics-port {self.metrics_port}: too large: {len(processes)} processes "
+                f"need as many ports (maximum {LAST_PORT})"
             )
         return {name: self.metrics_port + k for k, name in enumerate(processes)}
 
 
 @dataclass(frozen=True)
 class StackSize:
-    """How many robots and instances there are."""
+    """Number of robots and instances."""
 
     robots: options.Robots = 1
     scale: Annotated[
         list[str] | None,
-        Option(metavar="NAME=N", help=f"Instances of one of {', '.join(GROUPED)}; 0: elsewhere."),
+        Option(
+            metavar="NAME=N",
+            help=f"Instances of a service ({', '.join(GROUPED)}); 0 if they run elsewhere.",
+        ),
     ] = None
 
     @property
     def instances(self) -> dict[str, int]:
-        """Instances by service; UsageError when --scale is invalid."""
+        """Instances by service; UsageError if --scale is invalid."""
         found: dict[str, int] = {}
         for text in self.scale or ():
             name, _, many = text.partition("=")
             if name not in GROUPED or not re.fullmatch(r"0|[1-9]\d?", many):
                 raise UsageError(
-                    f"--scale {text!r}: expected NAME=N, with a NAME of {', '.join(GROUPED)}"
+                    f"--scale {text!r}: invalid; expected NAME=N with a NAME of "
+                    f"{', '.join(GROUPED)}"
                 )
             found[name] = int(many)
         if sum(found.values()) - len(found) > MOST_FURTHER:
             raise UsageError(
-                f"--scale: the router has room for {MOST_FURTHER} further instances in all"
+                f"--scale: too large: the router has room for {MOST_FURTHER} further instances"
             )
         return found
 
@@ -153,29 +158,32 @@ def up(
         Option(
             "--robot-body",
             metavar=f"{_SIMULATOR}|{_NONE}|FILE",
-            help="Body of the robot: FILE configures a ROS 2 base; none is for smal replay.",
+            help="Body of the robot: FILE configures a ROS 2 base; none for smal replay.",
         ),
     ] = _SIMULATOR,
     reach: options.Reach,
     size: StackSize,
     insecure: Annotated[
-        bool, Option("--insecure", help="Access for everybody, from other machines too.")
+        bool, Option("--insecure", help="Access from other machines, without certificates.")
     ] = False,
 ) -> None:
-    """Start the services, from the router to the recorder, and keep them running.
+    """Start all services of a stack and keep them running.
 
-    A service that ends is started again, one that keeps ending less and less often. Ctrl-C ends everything cleanly.
-    Of several addresses, --router A,B, each has a router: where one is killed or frozen, all go on at the other.
-    A browser drives, teaches and watches it at http://127.0.0.1:8080; other terminals use it as well: smal teleop, smal
-    topic hz, smal run --connect.
+    A service that ends is restarted, with growing delays. Ctrl-C stops everything. With --router
+    A,B a router runs at each address; if one fails, the services continue at the other.
 
-    Clients of the stack, such as smal run --connect, may have models read and recordings written below --root, by
-    default the current folder. With --metrics-port 9100 the router tells its health on http://127.0.0.1:9100/healthz
-    and what Prometheus wants on /metrics, the simulator on 9101, and so on.
+    The web page http://127.0.0.1:8080 drives, teaches and monitors the robot. Other terminals can
+    use the stack as well: smal teleop, smal topic hz, smal run --connect.
 
-    With --robots 3 there are ROBOT-2 and ROBOT-3 as well, each with its own simulator, recorder and page (at the ports
-    that follow): smal run --connect --robot ROBOT-2. All other services serve them all; of several instances (--scale)
-    each serves some robots, and those of one that is killed are another's within a moment.
+    Clients such as smal run --connect may read models and write recordings below --root, by default
+    the current folder. With --metrics-port 9100 the router reports its health on
+    http://127.0.0.1:9100/healthz and Prometheus metrics on /metrics, the simulator on 9101, and so
+    on.
+
+    With --robots 3 the robots ROBOT-2 and ROBOT-3 have their own simulator, recorder and page (on
+    the
+    following ports): smal run --connect --robot ROBOT-2. All other services are shared. Of several
+    instances (--scale) each serves some robots; if one fails, the others take over within a moment.
 
     Example: smal up --world campus --model campus.smal
     """
@@ -183,7 +191,7 @@ def up(
     options.read_world(world)
     base = _base(body)
     if size.robots > 1 and base is not None:
-        raise UsageError("--robots: the file of --robot-body configures one base")
+        raise UsageError("--robots: unsupported: the file of --robot-body configures one base")
     options.fleet_of(reach.robot, size.robots)
     instances = size.instances
     chain, learned_on = learned.flags()
@@ -242,14 +250,14 @@ def _run(plan: StackPlan, where: str, metrics: dict[str, int]) -> None:
 
 
 def _base(body: str) -> str | None:
-    """Return the name of a ROS 2 base; None for the simulated robot, and without a robot."""
+    """Return the name of a ROS 2 base, or None for a simulated robot or no robot."""
     if body in (_SIMULATOR, _NONE):
         return None
     try:
         from services.ros2.config import read_config  # noqa: PLC0415 - only this needs its packages
     except ModuleNotFoundError as error:
         raise UsageError(
-            f"--robot-body {body} needs the package {error.name}: pip install -e '.[ros2]'"
+            f"--robot-body {body}: package {error.name} not found; pip install -e '.[ros2]'"
         ) from None
     return read_config(Path(body)).name
 
@@ -257,7 +265,7 @@ def _base(body: str) -> str | None:
 def _check_addresses(
     reach: options.Reach, services: tuple[str, ...], robots: int, *, insecure: bool
 ) -> str:
-    """Check, before a process starts, that the router can start and all get in; return how secure it is."""
+    """Check that the router can start and all services can connect; return a note on security."""
     settings = reach.settings
     roles = (*map(role_of, services), "watcher")
     for role in roles:

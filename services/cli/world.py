@@ -1,4 +1,4 @@
-"""``smal world``: worlds out of maps, and pictures of them."""
+"""``smal world``: create worlds from maps, and draw worlds."""
 
 import math
 import re
@@ -37,14 +37,14 @@ if TYPE_CHECKING:
     from services.simulator.scene.rendering import SceneCamera
 
 app = typer.Typer(
-    help="Make worlds out of maps.\n\nExample: smal world import map.osm --out town.json", **STYLE
+    help="Create and draw worlds.\n\nExample: smal world import map.osm --out town.json", **STYLE
 )
 
 _NUMBER = r"[-+]?\d+(?:\.\d+)?"
-_AHEAD_M: Final = 1.0  # A view looks to where the route is this much later: around a corner as the robot would turn.
-_BEFORE_VICTIM: Final = (
-    0.9  # The last view is so far before the victim, in distances of finding it.
-)
+# Look-ahead of a view along the route; at a corner it looks where the robot turns.
+_AHEAD_M: Final = 1.0
+# Distance of the last view to the victim, as a fraction of the distance that counts as found.
+_BEFORE_VICTIM: Final = 0.9
 _MOST_VIEWS: Final = 200
 
 
@@ -53,34 +53,37 @@ def import_world(
     osm_map: Annotated[
         Path, Argument(metavar="MAP.osm", help="OpenStreetMap XML, as exported by its site.")
     ],
-    out: Annotated[Path, Option(help="Where to write the world; its name ends in .json.")],
+    out: Annotated[Path, Option(help="World file, ending in .json.")],
     start: Annotated[
-        str | None, Option(metavar="X,Y,HEADING_DEG", help="Where the robot starts.")
+        str | None, Option(metavar="X,Y,HEADING_DEG", help="Start of the robot.")
     ] = None,
     victim: Annotated[
-        str | None, Option(metavar="X,Y[,HEADING_DEG]", help="Where the victim lies.")
+        str | None, Option(metavar="X,Y[,HEADING_DEG]", help="Position of the victim.")
     ] = None,
-    seed: Annotated[int, Option(min=0, help="Another seed gives another task by rule.")] = 0,
+    seed: Annotated[int, Option(min=0, help="Seed of start and victim; see above.")] = 0,
     around: Annotated[
-        str | None, Option(metavar="LAT,LON", help="Middle of the part of the map to take.")
+        str | None, Option(metavar="LAT,LON", help="Centre of the part to import.")
     ] = None,
     radius: Annotated[
-        float | None, Option(min=50, max=5000, metavar="M", help="So much of it on each side.")
+        float | None,
+        Option(min=50, max=5000, metavar="M", help="Half the side of the part to import."),
     ] = None,
 ) -> None:
-    """Turn an OpenStreetMap extract into a world to drive in.
+    """Convert an OpenStreetMap extract to a world.
 
-    Buildings (with courtyards, parts, roofs), roads with sidewalks and markings, water, woods, trees and barriers
-    become a terrain; what is broken is left out and counted. Start and victim are what the map's smal:role nodes say,
-    else chosen by rule: the victim beside a wall near the middle, the start about 100 m of road away, where nothing
-    of the victim is seen. X and Y are metres east and north of the map's middle, headings degrees from east,
-    anticlockwise. The file is JSON; to move the victim by hand, change its x and y there.
+    Buildings (with courtyards, parts, roofs), roads with sidewalks and markings, water, woods,
+    trees and barriers become a terrain. Invalid objects are left out and counted.
+
+    Start and victim come from the map's smal:role nodes, or are chosen by --seed: the victim beside
+    a wall near the middle, the start about 100 m of road away without a view of the victim. X and Y
+    are metres east and north of the map's middle; headings are degrees anticlockwise from east. To
+    move the victim later, edit its x and y in the JSON file.
 
     Example: smal world import map.osm --out town.json --seed 3
     """
     began_s = time.perf_counter()
     if out.suffix != ".json":
-        raise UsageError(f"--out {out}: the name of a world file ends in .json")
+        raise UsageError(f"--out {out}: unsupported; the file name must end in .json")
     outputs.check_file(out, "--out")
     wishes = Wishes(
         start=_pose("--start", start, "X,Y,HEADING_DEG", (3,)),
@@ -89,10 +92,9 @@ def import_world(
         around=_surroundings(around, radius),
     )
     if not osm_map.is_file():
-        raise UsageError(f"{osm_map}: no such file")
-    inherited = re.fullmatch(
-        r"/proc/self/fd/(\d+)", str(osm_map)
-    )  # The map of a page, which has no name.
+        raise UsageError(f"{osm_map}: not found")
+    # The map of a page has no name.
+    inherited = re.fullmatch(r"/proc/self/fd/(\d+)", str(osm_map))
     with outputs.writing(out, "--out") as file:
         request = {
             "map": str(osm_map),
@@ -109,7 +111,7 @@ def import_world(
 
 
 def make(request: dict[str, Any], _work: Work) -> list[tuple[str, str]]:
-    """Make a world file of a map, in a child process, and return its summary; ConfinedError where that cannot be."""
+    """Create a world file from a map in a child process and return its summary."""
     wishes = TypeAdapter(Wishes).validate_python(request["wishes"])
     try:
         imported, text = import_map(Path(request["map"]), Path(request["out"]), wishes)
@@ -126,7 +128,7 @@ def _numbers(option: str, text: str, wanted: str, counts: tuple[int, ...]) -> li
         else []
     )
     if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
-        raise UsageError(f"{option} {text!r}: expected {wanted}")
+        raise UsageError(f"{option} {text!r}: invalid; expected {wanted}")
     return numbers
 
 
@@ -143,13 +145,13 @@ def _surroundings(around: str | None, radius: float | None) -> MapSurroundings |
     if around is None and radius is None:
         return None
     if around is None or radius is None:
-        raise UsageError("--around LAT,LON and --radius METRES go together")
+        raise UsageError("--around LAT,LON and --radius METRES: give both")
     latitude, longitude = _numbers(
         "--around", around, "LAT,LON in degrees, for example 39.751,-105.223", (2,)
     )
     if not (abs(latitude) <= 85 and abs(longitude) <= 180):
         raise UsageError(
-            f"--around {around!r}: latitude is from -85 to 85 degrees, longitude from -180 to 180"
+            f"--around {around!r}: outside latitude -85 to 85 or longitude -180 to 180 degrees"
         )
     return MapSurroundings(latitude, longitude, radius)
 
@@ -184,17 +186,19 @@ def _summary(world: World) -> Iterable[tuple[str, str]]:
 @grouped
 def render(
     name: Annotated[
-        str, Argument(metavar="WORLD", help="Name of a world, or the path of a map or world file.")
+        str, Argument(metavar="WORLD", help="Name of a world, or file of a map or world.")
     ],
     out: Annotated[Path, Option(help="Folder for the pictures.")] = Path("views"),
-    views: Annotated[int, Option(min=2, max=_MOST_VIEWS, help="Pictures along the route.")] = 6,
+    views: Annotated[
+        int, Option(min=2, max=_MOST_VIEWS, help="Number of pictures along the route.")
+    ] = 6,
     camera: options.CameraSize = None,
     at_work: options.AtWork = options.HERE,
 ) -> None:
-    """Draw a world: map.png from above with the planned route, and what the robot sees along that route.
+    """Draw a world: map.png with the planned route, and camera views along the route.
 
-    The views are named view-NN-DISTANCEm.png by how far along the route they are; the first is at the start, the last
-    one faces the victim. With --workers or --scheduler each worker opens the world for itself, which takes seconds.
+    Views are named view-NN-DISTANCEm.png by their distance along the route, from the start to the
+    victim. With --workers or --scheduler each worker opens the world, which takes seconds.
 
     Example: smal world render campus --out campus-views --views 8
     """
@@ -220,7 +224,10 @@ def render(
 
 
 def viewpoints(world: World, views: int) -> list[tuple[float, Pose]]:
-    """Return where to look from along the route, evenly, and how far along, metres; the last faces the victim."""
+    """Return evenly spaced viewpoints along the route and their distances, metres.
+
+    The last viewpoint faces the victim.
+    """
     route = shapely.LineString(plan_route(world, (world.start.x, world.start.y)))
     before = min(_BEFORE_VICTIM * world.scale.found_m, route.length / 2)
     along = np.linspace(0.0, route.length - before, views)
@@ -234,7 +241,7 @@ def viewpoints(world: World, views: int) -> list[tuple[float, Pose]]:
 
 
 class _Seen:
-    """What is seen of a world; it is opened, which takes seconds, when something is to be seen."""
+    """Camera in a world, opened on first use because that takes seconds."""
 
     def __init__(self, world: World, settings: CameraSettings) -> None:
         self._opened = world, settings
@@ -248,7 +255,7 @@ class _Seen:
 
 
 def world_map(world: World, places: list[tuple[float, Pose]]) -> "Figure":
-    """Return the map of a world with its route, and the viewpoints by number."""
+    """Return a map of a world with its route and the numbered viewpoints."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - takes as long to load as all the rest
 
     from services.simulator.world.map_view import draw_map  # noqa: PLC0415 - see above

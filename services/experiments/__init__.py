@@ -1,1 +1,1 @@
-"""What is measured with the method: evaluation, matching of image folders, showing what was learned."""
+"""Experiments with the method: evaluation, matching of image folders, and model reports."""

@@ -1,4 +1,4 @@
-"""The look of all figures."""
+"""Common style of all figures."""
 
 from collections.abc import Callable, Sequence
 from functools import wraps
@@ -22,6 +22,7 @@ MUTED = "#5f5f5f"
 LINE = "#dddddd"
 BACK = "#ffffff"
 COLOURS: Final = ("#0b5fa5", "#c2410c", "#1a7f37", "#7b1fa2", "#8a6100", "#0e7490")
+# Colours that people with colour blindness can tell apart.
 DASHES: Final = (
     "-",
     "--",
@@ -29,7 +30,7 @@ DASHES: Final = (
     ":",
     (0, (5, 1, 1, 1, 1, 1)),
     (0, (8, 2)),
-)  # For those who do not tell colours apart.
+)
 _STYLE: Final[dict[Any, Any]] = {
     "axes.edgecolor": LINE, "axes.labelcolor": MUTED, "axes.titlecolor": TEXT, "axes.titlesize": 10, "axes.grid": True,
     "axes.axisbelow": True, "axes.spines.right": False, "axes.spines.top": False, "axes.labelsize": 10,
@@ -38,11 +39,11 @@ _STYLE: Final[dict[Any, Any]] = {
     "text.parse_math": False, "xtick.color": LINE, "xtick.labelcolor": MUTED, "ytick.color": LINE,
     "ytick.labelcolor": MUTED,
 }  # fmt: skip
-WIDTH_IN: Final = 5.0  # Half of a page, inches: as wide as that it is read on a telephone too.
+WIDTH_IN: Final = 5.0  # Half a page, inches; readable on a telephone.
 
 
 def styled(draw: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Have what draws a figure do so in this style."""
+    """Apply the style to a function that draws a figure."""
 
     @wraps(draw)
     def drawing(*args: _P.args, **kwargs: _P.kwargs) -> _T:
@@ -60,7 +61,7 @@ def figure(height_in: float) -> Figure:
 def look_at(
     axes: Axes, points: NDArray[np.float64], bounds: tuple[float, float, float, float]
 ) -> None:
-    """Show the part of a map with bounds where points (n, 2) are, and half as much around it; a small map whole."""
+    """Zoom a map with bounds to points (n, 2) and half their extent; show a small map whole."""
     low = points.min(axis=0)
     high = points.max(axis=0)
     half_m = 0.75 * float((high - low).max())
@@ -71,7 +72,7 @@ def look_at(
 
 
 def draw_curve(axes: Axes, curve: PrecisionRecall, **style: Any) -> None:  # noqa: ANN401
-    """Draw precision over recall in steps, as the area counts them; without an answer there is no curve."""
+    """Draw precision over recall in steps, as the area counts them; omit a curve without answers."""
     recall = np.concatenate([np.zeros(min(1, curve.recall.size)), curve.recall])
     precision = np.concatenate([curve.precision[:1], curve.precision])
     axes.step(recall, precision, where="pre", **style)
@@ -79,7 +80,7 @@ def draw_curve(axes: Axes, curve: PrecisionRecall, **style: Any) -> None:  # noq
 
 
 def draw_reliability(axes: Axes, reliability: Reliability, **style: Any) -> None:  # noqa: ANN401
-    """Draw the share of right answers over their score; the larger a point, the more answers it stands for."""
+    """Draw the share of correct answers over their score; the point size shows the number of answers."""
     axes.plot([0.0, 1.0], [0.0, 1.0], color=MUTED, lw=1)
     sizes = 20.0 + 300.0 * reliability.count / max(int(reliability.count.sum()), 1)
     usual: dict[str, Any] = {"color": COLOURS[0], "clip_on": False, "zorder": 3}
@@ -88,14 +89,14 @@ def draw_reliability(axes: Axes, reliability: Reliability, **style: Any) -> None
         xlim=(0.0, 1.02),
         ylim=(0.0, 1.02),
         xlabel="score",
-        ylabel="share that is right",
+        ylabel="share of correct answers",
         aspect="equal",
     )
     axes.set_title(f"calibration error {reliability.error:.3f}")
 
 
 def legend(drawn: Figure, panels: Sequence[Axes], columns: int = 2) -> None:
-    """Say below a figure what each kind of mark is, once, if any is named."""
+    """Add a legend below a figure with each label once."""
     named: dict[str, Artist] = {}
     for axes in panels:
         handles, labels = axes.get_legend_handles_labels()

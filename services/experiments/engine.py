@@ -1,4 +1,4 @@
-"""The engine of work that one process is too small for: Dask, on this machine or at a scheduler that somebody runs."""
+"""Parallel work on several processes: Dask on this machine, or at a running scheduler."""
 
 import concurrent.futures
 import hashlib
@@ -36,30 +36,30 @@ from smal.features.extraction import in_parallel
 if TYPE_CHECKING:
     from distributed import Client, Future, LocalCluster
 
-_REACHED_S: Final = 10.0  # A scheduler is there within this time.
-#: It has a worker within this time, also where all were killed: one takes 2 s to start, 50 s on a very busy machine.
+_REACHED_S: Final = 10.0  # Timeout for a connection to a scheduler.
+#: Timeout for a worker, also after a crash of all. A worker starts in 2 s, on a very busy machine
+#: in 50 s.
 _WORKER_S: Final = 120.0
-_LOOK_S: Final = 1.0  # How often whoever waits looks whether there are workers.
-_BATCH: Final = (
-    16  # Most items of one task: an image takes 5 ms or more, a task 5 ms of the engine's own.
-)
-_AHEAD: Final = 4  # Tasks for each thread of a worker that are under way.
-_TRIES = 3  # How many workers may be killed at a task before it is given up.
-#: What the workers of this machine do first: Ctrl-C is left to the process that ends them, which alone names damaged
-#: images (`quiet_opencv`), and OpenCV has one thread: there is a worker for each core.
+_LOOK_S: Final = 1.0  # Period of the check for workers.
+# Maximum batch: an image takes 5 ms or more, the engine 5 ms per task.
+_BATCH: Final = 16
+_AHEAD: Final = 4  # Tasks in progress for each thread of a worker.
+_TRIES = 3  # A task fails after this number of killed workers.
+#: Setup of the workers on this machine. Ctrl-C is left to the parent process, which also reports
+#: damaged images (`quiet_opencv`). OpenCV uses one thread, because each core has a worker.
 _PRELOAD: Final = """import signal, cv2
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 cv2.setNumThreads(1)
 """
-_PACKAGES: Final = Path(__file__).parents[
-    2
-]  # What holds our packages: a checkout, or where they are installed.
+# Folder of our packages: a checkout or the installation.
+_PACKAGES: Final = Path(__file__).parents[2]
+# Packages whose version changes the last digits of results.
 _DECIDING: Final = (
     "numpy",
     "scipy",
     "opencv-python-headless",
-)  # Of another version they give other last digits.
+)
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
@@ -67,11 +67,17 @@ Task = TypeVar("Task")
 
 
 class Engine:
-    """Workers, started or reached when they are first needed; a context, after which no process is left.
+    """Workers, started or connected on first use; a context manager that leaves no process behind.
 
-    They are ``workers`` processes of this machine, by default one a core, for nobody else (encrypted, on 127.0.0.1), or
-    those of a ``scheduler``, by the certificate in the folder ``secure``. Where they can be watched is said on standard
-    error.
+    Parameters
+    ----------
+    workers : int, optional
+        Number of processes on this machine, by default one per core. They are encrypted and listen
+        on 127.0.0.1 only.
+    scheduler : str, optional
+        Address of a Dask scheduler instead.
+    secure : Path, optional
+        Folder with the certificate for the scheduler.
     """
 
     def __init__(
@@ -98,10 +104,10 @@ class Engine:
             for nanny in (
                 cluster.workers.values() if error is not None and cluster is not None else ()
             ):
-                # What it does nobody waits for, and Dask would: whole tasks, and seconds where a machine is busy.
+                # Dask otherwise waits for its restart: whole tasks, and seconds on a busy machine.
                 nanny.auto_restart = False
                 if nanny.pid is not None:
-                    with suppress(ProcessLookupError):  # It was killed already.
+                    with suppress(ProcessLookupError):
                         os.kill(nanny.pid, signal.SIGKILL)
             self._client.close()
             if cluster is not None:
@@ -109,7 +115,7 @@ class Engine:
 
     @property
     def client(self) -> "Client":
-        """How work is given to the workers; JobError where there are none."""
+        """The Dask client; raises JobError if no worker is available."""
         if self._client is None:
             self._client = (
                 self._begun() if self.scheduler is None else self._reached(self.scheduler)
@@ -117,18 +123,19 @@ class Engine:
         return self._client
 
     def map(self, function: Callable[[Item], Answer], items: Iterable[Item]) -> Iterator[Answer]:
-        """Yield what a function makes of each item, in order, as `in_parallel` does.
+        """Yield the result of a function for each item, in order, as `in_parallel` does.
 
-        Unless workers are asked for it is done by threads of this process: images, which travel, take longer otherwise.
+        Without --workers or --scheduler, threads of this process compute: transferring images takes
+        longer.
         """
         if self.scheduler is None and self._workers is None:
             yield from in_parallel(function, items)
             return
-        # Few are shared out evenly: whoever has the last batch should not keep all others waiting.
+        # Short inputs are shared evenly, so that no worker delays the result with a last batch.
         fair = length_hint(items, sys.maxsize) // max(_AHEAD * self._threads(), 1)
         size = min(max(fair, 1), _BATCH)
         left = iter(items)
-        # An answer of its own: it may be megabytes, and goes to each worker once.
+        # Separate: it can have megabytes, and goes to each worker once.
         once = self.client.submit(partial, function, pure=False)
         waiting: deque[Future[Any]] = deque()
         for batch in iter(lambda: list(islice(left, size)), []):
@@ -144,10 +151,10 @@ class Engine:
         do: Callable[[Task], Answer],
         needs: Callable[[Task], Iterable[Task]],
     ) -> Iterator[tuple[Task, Callable[[], Answer]]]:
-        """Yield tasks when they are done, each with what gives its answer or raises why there is none.
+        """Yield finished tasks, each with a function that returns the result or raises the error.
 
-        The first that can be done are, when those are done that they need. None waits at a worker for another one: who
-        was there when a worker was killed is known.
+        Tasks start when the tasks that they need are done. No task waits at a worker for another
+        task, so that a killed worker identifies its task.
         """
         waiting = dict.fromkeys(tasks)
         under_way = dict["Future[Any]", Task]()
@@ -162,7 +169,7 @@ class Engine:
             yield under_way.pop(future), partial(self._answer, future)
 
     def _done(self, futures: Iterable["Future[Any]"]) -> "Future[Any]":
-        """Wait for one of some answers and return it; JobError where no scheduler is left, or no worker for long."""
+        """Return a finished future; raise JobError if the scheduler or all workers are lost."""
         from distributed import CancelledError, wait  # noqa: PLC0415 - takes a second to import
 
         there_s = time.monotonic()
@@ -177,21 +184,21 @@ class Engine:
             except (
                 CancelledError,
                 ValueError,
-            ):  # The latter of a client that gave up its scheduler a while ago.
-                raise JobError(f"{at}the scheduler is lost") from None
-        raise JobError(f"{at}no worker is left, and none came for {_WORKER_S:g} s")
+            ):  # Raised by a client that lost its scheduler earlier.
+                raise JobError(f"{at}connection to the scheduler lost") from None
+        raise JobError(f"{at}all workers ended, and none started within {_WORKER_S:g} s")
 
     def _answer(self, future: "Future[Any]") -> Any:  # noqa: ANN401
-        """Return what a worker answered, or raise what it raised; JobError where every worker that tried was killed."""
+        """Return the result of a worker or raise its error; raise JobError if every worker was killed."""
         from distributed import CancelledError, KilledWorker  # noqa: PLC0415
 
         while True:
-            # Waited for again where who had the answer was killed: somebody else makes it anew.
+            # Wait again if the worker with the result was killed: another worker repeats the task.
             self._done([future])
             try:
                 return future.result(timeout=_WORKER_S)
             except KilledWorker:
-                raise JobError("workers were killed, perhaps for memory") from None
+                raise JobError("workers were killed, perhaps out of memory") from None
             except (TimeoutError, CancelledError):
                 if future.status == "error":
                     raise
@@ -200,18 +207,18 @@ class Engine:
         try:
             return sum(self.client.nthreads().values())
         except OSError:
-            return 0  # The scheduler is lost, and with it every answer that somebody waits for.
+            return 0  # The scheduler is lost with all pending results.
 
     def on_each(self, function: Callable[..., Answer], *arguments: object) -> dict[str, Answer]:
-        """Return what a function says on each worker, by its address."""
+        """Return the result of a function on each worker, by address."""
         found: dict[str, Answer] = self.client.run(function, *arguments)
         return found
 
     def _begun(self) -> "Client":
-        """Start processes of this machine."""
+        """Start workers on this machine."""
         distributed = _quiet_distributed()
         watched = find_spec("bokeh") is not None
-        # Without a limit of memory: it would kill what works today where a unit takes more than its share.
+        # No memory limit, because a limit kills units that need more than their share.
         start = partial(
             distributed.LocalCluster,
             n_workers=self._workers or len(os.sched_getaffinity(0)),
@@ -222,13 +229,12 @@ class Engine:
         cluster = _undisturbed(start)
         if watched:
             _say_watched(cluster.dashboard_link)
-        client: Client = distributed.Client(
-            cluster, direct_to_workers=True
-        )  # Not by the scheduler, here as well.
+        # The same check as at the scheduler.
+        client: Client = distributed.Client(cluster, direct_to_workers=True)
         return client
 
     def _reached(self, address: str) -> "Client":
-        """Go to a scheduler, and see that its workers run the same program."""
+        """Connect to a scheduler and check that its workers run the same program."""
         distributed = _quiet_distributed()
         security = None
         if self._secure is not None and address.startswith("tls://"):
@@ -243,15 +249,13 @@ class Engine:
             client: Client = distributed.Client(address, security=security, timeout=_REACHED_S)
         except (OSError, TimeoutError) as error:
             why = " ".join(str(error).split())
-            raise JobError(
-                f"--scheduler {address}: cannot be reached, or refuses us: {why}"
-            ) from None
-        self._client = client  # Closed also where what follows fails.
+            raise JobError(f"--scheduler {address}: cannot connect: {why}") from None
+        self._client = client  # Closed even if a later step fails.
         try:
             client.wait_for_workers(1, timeout=_WORKER_S)
         except TimeoutError:
             raise JobError(
-                f"--scheduler {address}: has no worker (dask worker {address})"
+                f"--scheduler {address}: no worker; start one: dask worker {address}"
             ) from None
         try:
             others = [
@@ -263,7 +267,8 @@ class Engine:
             ) from None
         if others:
             raise JobError(
-                f"--scheduler {address}: {others[0]} has another version of SMAL, or of what it needs"
+                f"--scheduler {address}: {others[0]} has another version of SMAL or of its "
+                "dependencies"
             )
         if client.dashboard_link:
             _say_watched(client.dashboard_link)
@@ -271,11 +276,12 @@ class Engine:
 
 
 def _undisturbed(start: Callable[[], "LocalCluster"]) -> "LocalCluster":
-    """Start workers; whoever interrupts meanwhile has them end first: what has half begun would die noisily.
+    """Start workers without interruption, because workers that are half started end noisily.
 
-    Ctrl-C in a terminal reaches the workers as well, which are deaf to it from their first moment: they inherit that.
+    Ctrl-C in a terminal reaches the workers as well. They inherit that the signal is ignored.
     """
-    # Whoever starts this helper of Python's hears Ctrl-C again; it outlives the workers where a terminal is closed.
+    # A helper process of Python resets the handling of Ctrl-C; it outlives the workers if a
+    # terminal closes.
     heard = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
     ensure_running()
     signal.pthread_sigmask(signal.SIG_SETMASK, heard)
@@ -302,27 +308,28 @@ def _check(scheduler: str, secure: Path | None) -> None:
     host, _, port = place.rpartition(":")
     if kind not in ("tcp", "tls") or not host or not port.isdecimal():
         raise UsageError(
-            f"--scheduler {scheduler}: is no address; try tcp://127.0.0.1:8786, or tls://host:8786 with --secure"
+            f"--scheduler {scheduler}: invalid address; use tcp://127.0.0.1:8786, or "
+            "tls://host:8786 with --secure"
         )
     if kind == "tls" and secure is None:
         raise UsageError(
-            f"--scheduler {scheduler}: give --secure, a folder that `smal secure init` made"
+            f"--scheduler {scheduler}: requires --secure, a folder created by `smal secure init`"
         )
     if kind == "tcp" and others_reach(host.strip("[]")):
         raise UsageError(
-            f"--scheduler {scheduler}: whoever reaches it could run anything there; only tls:// will do"
+            f"--scheduler {scheduler}: unsupported: anyone can run code there; use tls://"
         )
 
 
 @cache
 def program() -> str:
-    """Return the digest of all that decides what workers answer: our code, and the versions of what computes."""
+    """Return the digest of everything that determines results: our code and package versions."""
     versions = " ".join(f"{name} {version(name)}" for name in _DECIDING)
     return digest_of(("schemas/**/*.py", "services/**/*.py", "smal/**/*.py"), versions)
 
 
 def digest_of(patterns: Sequence[str], beside: str = "") -> str:
-    """Return the digest of our files by these patterns, and of what is said beside them."""
+    """Return the digest of our files by these patterns, and of further text."""
     digest = hashlib.sha256(beside.encode())
     for path in sorted({path for pattern in patterns for path in _PACKAGES.glob(pattern)}):
         if path.is_file() and path.suffix != ".pyc":
@@ -331,7 +338,7 @@ def digest_of(patterns: Sequence[str], beside: str = "") -> str:
 
 
 def _quiet_distributed() -> Any:  # noqa: ANN401
-    """Import it; what it has to say of its connections is nothing that a user can do anything about."""
+    """Import distributed and silence its reports about connections, which users cannot act on."""
     import dask  # noqa: PLC0415 - takes a second to import
     import distributed  # noqa: PLC0415
 
@@ -342,11 +349,11 @@ def _quiet_distributed() -> Any:  # noqa: ANN401
         logging.getLogger(name).setLevel(logging.CRITICAL)
     logging.getLogger("tornado").setLevel(logging.CRITICAL)
     dask.config.set({"distributed.admin.large-graph-warning-threshold": "1GB"})
-    # With Dask's own setting a killed worker that takes longer than 15 s to start anew is given up for good.
+    # With Dask's default a killed worker that restarts slower than 15 s is lost for good.
     dask.config.set({"distributed.deploy.lost-worker-timeout": "1h"})
-    # With Dask's own setting each image is memory that the system has to give anew: two and a half times the time.
+    # With Dask's default the system allocates the memory of each image anew: 2.5 times the time.
     dask.config.set({"distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None})
-    # What looks at a worker a hundred times a second, and at its loop fifty times, takes a twelfth of its time.
+    # Profiling and loop monitoring take a twelfth of a worker's time.
     dask.config.set(
         {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "500ms"}
     )
@@ -354,7 +361,7 @@ def _quiet_distributed() -> Any:  # noqa: ANN401
 
 
 def _say_watched(link: str) -> None:
-    tqdm.write(f"smal: the workers can be watched at {link}", file=sys.stderr)
+    tqdm.write(f"smal: dashboard of the workers: {link}", file=sys.stderr)
 
 
 def _each(function: Callable[[Item], Answer], items: list[Item]) -> list[Answer]:

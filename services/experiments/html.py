@@ -1,4 +1,4 @@
-"""Pages of results: each is one HTML file that needs no other file, filled from a template in ``templates``."""
+"""Self-contained HTML pages of results, filled from a template in ``templates``."""
 
 import base64
 import io
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _FRAME_PX: Final = 320  # Width of a camera image on a page, pixels.
-#: Reports progress: the stage, how much of it is done, and its total.
+#: Reports progress: the stage, the number of finished items, and their total.
 Advance = Callable[[str, int, int], object]
 
 
@@ -40,7 +40,7 @@ def png(figure: "Figure", dpi: int = 110) -> bytes:
     """Draw a figure as a PNG file."""
     buffer = io.BytesIO()
     with warnings.catch_warnings():
-        # Names of drives can have letters that the font lacks.
+        # Names of drives can contain letters that the font lacks.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         figure.savefig(buffer, format="png", dpi=dpi)
     return buffer.getvalue()

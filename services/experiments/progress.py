@@ -1,4 +1,4 @@
-"""How far a command is."""
+"""Progress of a command."""
 
 import json
 import os
@@ -9,7 +9,7 @@ from tqdm import tqdm
 
 
 def bar_of(items: Any = None, **how: Any) -> "tqdm[Any]":  # noqa: ANN401
-    """Return a bar of tqdm's, as wide as the terminal; in one that does not tell its size tqdm alone draws none."""
+    """Return a progress bar of tqdm; its width is set for terminals without a size."""
     told = not sys.stderr.isatty() or all(os.get_terminal_size(sys.stderr.fileno()))
     how |= {"dynamic_ncols": True} if told else {"ncols": 80, "nrows": 24}
     bar: tqdm[Any] = tqdm(items, **how)
@@ -17,7 +17,7 @@ def bar_of(items: Any = None, **how: Any) -> "tqdm[Any]":  # noqa: ANN401
 
 
 class Bars:
-    """A progress bar for each stage of some work, none in a log file or a pipe; or lines of JSON for a program."""
+    """A progress bar for each stage on a terminal; or lines of JSON."""
 
     def __init__(self, unit: str = "it", *, as_json: bool = False) -> None:
         self._unit = unit
@@ -27,7 +27,7 @@ class Bars:
         self._bar: tqdm[Any] | None = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Show how much of a stage is done; as JSON each percent once."""
+        """Update the progress of a stage; as JSON once per percent."""
         if self._as_json:
             before = (self._stage, self._percent)
             self._stage = stage
@@ -44,10 +44,11 @@ class Bars:
         self._bar.total = total
         self._bar.update(done - self._bar.n)
         if done == total:
-            self._bar.refresh()  # What follows may take long, and tqdm draws ten times a second at most.
+            # The next step can take long, and tqdm draws at most ten times a second.
+            self._bar.refresh()
 
     def close(self) -> None:
-        """End the last bar."""
+        """Close the last bar."""
         if self._bar is not None:
             self._bar.close()
             self._bar = None

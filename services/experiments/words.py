@@ -1,4 +1,4 @@
-"""Words, and tables of them, that pages and commands share."""
+"""Text and tables for pages and commands."""
 
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -7,12 +7,12 @@ from typing import Any
 
 
 def counted(count: int, what: str) -> str:
-    """Return "1 drive" or "2 drives"."""
+    """Return a number with a noun: "1 drive" or "2 drives"."""
     return f"{count:,} {what}{'s' * (count != 1)}"
 
 
 def condition(run: Mapping[str, Any], more: Mapping[str, object] = MappingProxyType({})) -> str:
-    """Return how a run, the fields of a request or a trial, differs from teaching; ``more`` are other differences."""
+    """Describe how a run (fields of a request or trial) differs from teaching."""
     differences = dict(more) | {
         "from anywhere": run["start"] == "anywhere",
         "kidnapped": run["kidnap_tick"],
@@ -25,7 +25,7 @@ def condition(run: Mapping[str, Any], more: Mapping[str, object] = MappingProxyT
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return the first ten names, and how many more there are."""
+    """Return the first ten names and the number of further names."""
     return ", ".join(names[:10]) + (f" and {len(names) - 10} more" if len(names) > 10 else "")
 
 
@@ -35,7 +35,7 @@ def remark(lines: Iterable[object]) -> None:
 
 
 def table(rows: Sequence[Sequence[str]], left: int = 1) -> Iterator[str]:
-    """Yield one line a row: the first ``left`` columns begin below each other, the others (numbers) end there."""
+    """Yield one line per row; the first ``left`` columns are left-aligned, the others right-aligned."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         cells = (

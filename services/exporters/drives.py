@@ -1,4 +1,4 @@
-"""Recorded episodes as drives for export: images, poses by the wheels, velocities."""
+"""Recorded episodes as drives for export: images, poses by odometry, velocities."""
 
 import importlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -26,7 +26,7 @@ from services.recordings.records import Allowance
 from services.recordings.stream import RecordingError
 from smal.movement import Movement
 
-_DIGITS: Final = 6  # Of velocities: a micrometre and a microradian a second.
+_DIGITS: Final = 6  # Decimals of velocities: a micrometre and a microradian per second.
 #: Modules of this package that write a format, by ``write(drives, folder, tally, advance)``.
 _WRITERS: Final[dict[Format, str]] = {
     "rosbag2": "rosbag2",
@@ -51,10 +51,10 @@ class NominalSpeeds(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """One tick of a drive; None stands for what is missing, damaged or unknown.
+    """One tick of a drive; None stands for missing, damaged or unknown values.
 
-    The image is as recorded. The velocity, linear and angular, holds from this tick on; the pose is
-    by the wheels; the readings of the inertial unit are those since the tick before.
+    The image is as recorded. The velocity (linear, angular) holds from this tick on. The pose is by
+    odometry. The inertial readings are those since the tick before.
     """
 
     tick: int
@@ -66,7 +66,7 @@ class Moment(NamedTuple):
 
     @property
     def wheels(self) -> tuple[float, float, float] | None:
-        """Pose by the wheels: x and y in metres, heading in radians."""
+        """Pose by odometry: x and y in metres, heading in radians."""
         pose = self.pose
         return None if pose is None else (pose.x_m, pose.y_m, pose.heading_rad)
 
@@ -92,7 +92,7 @@ class ExportedDrive:
         )
 
     def moments(self, tally: Tally, advance: Callable[[], None]) -> Iterator[Moment]:
-        """Yield each tick, and count what cannot be used; ``advance`` is called for each."""
+        """Yield each tick, count unusable data, and call ``advance`` for each."""
         poses = self.episode.odometry
         imus = self.episode.imu
         applied = self.episode.applied
@@ -105,7 +105,7 @@ class ExportedDrive:
                 (one[tick].stamp_ns for one in (poses, applied) if tick in one), stamp_ns
             )
             if stamp_ns <= last_ns:
-                tally.count("ticks are not later than the one before, and are left out")
+                tally.count("ticks are not later than the tick before (left out)")
                 continue
             last_ns = stamp_ns
             yield Moment(
@@ -115,12 +115,12 @@ class ExportedDrive:
     def usable(
         self, tally: Tally, advance: Callable[[], None]
     ) -> Iterator[tuple[Moment, bytes, tuple[float, float]]]:
-        """Yield the moments with an image and a velocity, with both; count the others."""
+        """Yield the moments with an image and a velocity; count the others."""
         for moment in self.moments(tally, advance):
             if moment.jpeg is not None and moment.velocity is not None:
                 yield moment, moment.jpeg, moment.velocity
             elif moment.jpeg is not None:
-                tally.count("frames do not tell what was done then, and are left out")
+                tally.count("frames lack an action (left out)")
 
     def _image(self, tick: int, tally: Tally) -> tuple[int, bytes | None]:
         if tick not in self.episode.images:
@@ -148,7 +148,7 @@ class ExportedDrive:
 def read(
     files: Iterable[Path], speed: float | None, turn_rate: float | None, tally: Tally
 ) -> list[ExportedDrive]:
-    """Read recordings, with speeds of atoms as given (m/s, rad/s) or by odometry; else JobError."""
+    """Read recordings, with action speeds as given (m/s, rad/s) or by odometry."""
     episodes = list(_episodes(files, tally))
     if not episodes:
         raise JobError(
@@ -181,7 +181,7 @@ def write(
     tally: Tally,
     advance: Callable[[], None] = lambda: None,
 ) -> None:
-    """Write drives into an empty folder; JobError if they do not fit the format.
+    """Write drives into an empty folder; raise JobError if they do not fit the format.
 
     ``advance`` is called for each tick.
     """
@@ -191,12 +191,13 @@ def write(
 
 
 def say_view(drives: Iterable[ExportedDrive], tally: Tally) -> None:
-    """Report the fields of view, for a format that has no place for them."""
+    """Report the fields of view, which the format cannot store."""
     for camera in (drive.episode.camera for drive in drives):
         if camera is not None:
             angle = camera_of(camera).field_deg
             tally.say(
-                f"the camera's field of view has no place in it; import it with --field-of-view {angle:.4g}"
+                "the format cannot store the camera's field of view; import it with "
+                f"--field-of-view {angle:.4g}"
             )
 
 
@@ -214,9 +215,9 @@ def _episodes(files: Iterable[Path], tally: Tally) -> Iterator[RecordedEpisode]:
         for episode in recording.episodes:
             other = seen.setdefault((episode.robot, episode.episode), path)
             if other != path:
-                tally.say(f"{path}: episode {episode.episode} is left out: it is in {other} too")
+                tally.say(f"{path}: episode {episode.episode} left out: already in {other}")
             elif not episode.images:
-                tally.say(f"{path}: episode {episode.episode} is left out: it has no images")
+                tally.say(f"{path}: episode {episode.episode} left out: no images")
             else:
                 yield episode
 
@@ -227,9 +228,9 @@ def _rate(
     option: str,
     atoms: tuple[Atom, Atom],
 ) -> Rate:
-    """Return the given rate, or the median over all ticks of these atoms, as learning has it."""
+    """Return the given speed, or the median over all ticks of these actions, as in learning."""
     if given is not None:
-        return Rate(given, f"as {option} says")
+        return Rate(given, f"given by {option}")
     made = [
         (episode, tick, applied)
         for episode in episodes
@@ -237,20 +238,20 @@ def _rate(
         if applied.atom in atoms
     ]
     if not made:
-        return Rate(0.0, "never done")
+        return Rate(0.0, "action absent")
     steps = [step for each in made if (step := _step(*each)) is not None]
     rate = round(float(np.median(steps)) / TICK_S, _DIGITS) if steps else 0.0
     if rate > 0.0:
-        return Rate(rate, "by its odometry")
+        return Rate(rate, "by odometry")
     episode, _, applied = made[0]
     raise JobError(
-        f"episode {episode.episode}: no odometry says how fast {applied.atom} is; "
-        f"say it with {option}"
+        f"episode {episode.episode}: no odometry for the speed of {applied.atom}; give it with "
+        f"{option}"
     )
 
 
 def _step(episode: RecordedEpisode, tick: int, applied: CommandApplied) -> float | None:
-    """Return how far the robot went, or turned, in a tick at full speed; None if unknown."""
+    """Return the distance or turn of a tick at full speed; None if unknown."""
     ahead = applied.atom in ("forward", "backward")
     share = abs(applied.linear if ahead else applied.angular)
     if share == 0.0 or not {tick, tick + 1} <= episode.odometry.keys():

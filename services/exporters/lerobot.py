@@ -33,20 +33,20 @@ from services.kit.jpeg import decode_jpeg
 
 CAMERA: Final = "observation.images.front"
 FPS: Final = round(1.0 / TICK_S)
-# As the format has it: files a folder; megabytes, as others add to it.
+# Values of the format: files per folder, and megabytes per file.
 _CHUNK = 1000
 _DATA_MB = 100
 _VIDEO_MB = 200
 _FIRST: Final = {"chunk_index": 0, "file_index": 0}
-#: As lerobot has it for random access: every other image stands for itself, and none is told by a later one. With this
-#: quality nobody sees a difference.
+#: Codec of lerobot for random access: every other image is a key frame. The quality is visually
+#: lossless.
 _CODEC = "h264"
 _PIXELS = "yuv420p"
 _OPTIONS = {"crf": "18", "g": "2", "bf": "0"}
 _QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _NAME: Final = {"pandas_type": "unicode", "numpy_type": "object", "metadata": None}
 _NUMBER: Final = {"pandas_type": "int64", "numpy_type": "int64", "metadata": None}
-#: Of the table of tasks: others read it with pandas, and look tasks up in its index.
+#: Schema of the table of tasks, for pandas: its index holds the tasks.
 _TASKS: Final = {
     "index_columns": ["task"],
     "column_indexes": [
@@ -112,7 +112,7 @@ def write(
         ) from None
     say_view(drives, tally)
     if not episodes:
-        raise JobError("nothing to export: no frame has an image and tells what was done then")
+        raise JobError("nothing to export: no frame has both an image and an action")
     _describe(folder, episodes, size, drives[0].episode.robot, tally)
 
 
@@ -130,7 +130,7 @@ def _usable(
         if last != (drive, moment.tick - 1):
             episode += 1
             is_gap = last is not None and last[0] == drive
-            tally.count("gaps are the end of an episode and the beginning of another", int(is_gap))
+            tally.count("gaps split an episode", int(is_gap))
         last = drive, moment.tick
         arrived = drive.success and moment.tick == drive.episode.end_tick
         yield episode, drive.episode.goal, _Frame(velocity, moment.wheels, arrived), pixels
@@ -152,7 +152,7 @@ def _of_one_size(
             if pixels.shape == size:
                 yield drive, moment, velocity, pixels
             else:
-                tally.count("images have another size than the first, and are left out")
+                tally.count("images differ in size from the first (left out)")
 
 
 @contextmanager
@@ -162,7 +162,8 @@ def _video(path: Path, size: tuple[int, int]) -> Iterator[Callable[[Pixels], Non
     width, height = size
     if width % 2 or height % 2:
         raise JobError(
-            f"images of {width}x{height} pixels: a video has an even number of columns and rows"
+            f"unsupported image size {width}x{height}: a video needs even numbers of columns "
+            "and rows"
         )
     path.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(path), "w", format="mp4") as container:
@@ -233,7 +234,7 @@ def _columns(
         columns[STATE] = np.array(poses, np.float32)
     else:
         tally.say(
-            f"{len(frames) - len(poses)} of {len(frames)} frames lack odometry: there is no {STATE}"
+            f"{len(frames) - len(poses)} of {len(frames)} frames lack odometry; {STATE} is left out"
         )
     return columns | {
         SUCCESS: np.array([frame.success for frame in frames]),
@@ -303,7 +304,7 @@ def _of_images(counts: NDArray[np.int64], images: int) -> Statistics:
     below = np.cumsum(counts, axis=1) / counts.sum(axis=1, keepdims=True)
     shares = np.diff(below, axis=1, prepend=0.0)
     mean = shares @ levels
-    variance = np.maximum(shares @ levels**2 - mean**2, 0.0)  # Of rounding it can be below 0.
+    variance = np.maximum(shares @ levels**2 - mean**2, 0.0)  # Rounding can make it negative.
     there = [levels[channel > 0] for channel in counts]
     found = {
         "min": [one[0] for one in there],

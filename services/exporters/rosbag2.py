@@ -1,7 +1,7 @@
 """Bags of ROS 2 as ``ros2 bag record -s mcap`` writes them, one for each drive.
 
-Frames are those of REP 105: ``odom`` is the start of the episode, ``base_link`` the robot. Recordings
-have no mount of the camera: it is drawn at ``base_link`` and looks ahead, as those of our robots.
+Frames follow REP 105: ``odom`` is the start of the episode, ``base_link`` the robot. Recordings do
+not contain the mount of the camera, which is placed at ``base_link`` and looks ahead.
 """
 
 import math
@@ -28,7 +28,7 @@ _CAMERA = "camera_optical_frame"
 _LATEST_NS: Final = 2**31 * 1_000_000_000  # ROS has seconds since 1970 in 31 bits.
 #: Robot (ahead, left, up) to camera (right, down, ahead).
 _OPTICAL: Final = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}
-#: Of each lens, as ROS has it.
+#: Number of coefficients of each lens model in ROS.
 _COEFFICIENTS: Final = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}
 Fields = dict[str, Any]
 Said = tuple[str, str, int, Fields]  # Topic, type, stamp in nanoseconds, and fields of a message.
@@ -58,7 +58,7 @@ def write(
                 data = store.serialize_cdr(ros_message(store, kind, fields), kind)
                 writer.write(channels[topic], stamp_ns, data)
         tally.count(
-            "drives have no odometry: nothing moves in a 3D view", int(not drive.episode.odometry)
+            "drives have no odometry; a 3D view shows no movement", int(not drive.episode.odometry)
         )
 
 
@@ -147,13 +147,13 @@ def _transforms(stamp_ns: int, frames: tuple[str, str], place: Fields, turn: Fie
 
 def _header(stamp_ns: int, frame: str) -> Fields:
     if not 0 <= stamp_ns < _LATEST_NS:
-        raise JobError(f"a time {stamp_ns / 1e9:.0f} s after 1970, which ROS cannot say")
+        raise JobError(f"time {stamp_ns / 1e9:.0f} s after 1970 is too large for ROS")
     seconds, rest_ns = divmod(stamp_ns, 1_000_000_000)
     return {"stamp": {"sec": seconds, "nanosec": rest_ns}, "frame_id": frame}
 
 
 def _latched() -> Any:  # noqa: ANN401 - of a package without types
-    """Return the quality of service of a latched topic."""
+    """Return the quality-of-service profile of a latched topic."""
     from rosbags import interfaces as ros  # noqa: PLC0415 - of the extra `formats`
 
     for_ever = ros.QosTime(*divmod(2**63 - 1, 1_000_000_000))

@@ -1,1 +1,1 @@
-"""Import foreign recordings: one file a format, then ticks, atoms, and an ordinary recording."""
+"""Import of foreign recordings: one module per format, then resampling, actions and recordings."""

@@ -1,8 +1,9 @@
 """A folder of images with a CSV file of their times and the velocities of the robot.
 
-The file is ``drive.csv``, or the only ``*.csv`` of the folder. Its first line names the columns: ``image`` (a file in
-the folder), ``time_s``, ``linear_m_s`` and ``angular_rad_s`` (counter-clockwise); where there are such, ``episode``,
-``success`` (1 or 0), and ``x_m``, ``y_m`` and ``heading_rad`` by the wheels, which a row may leave empty.
+The file is ``drive.csv``, or the only ``*.csv`` of the folder. Its first line names the columns:
+``image`` (a file in the folder), ``time_s``, ``linear_m_s`` and ``angular_rad_s``
+(counter-clockwise). Optional columns are ``episode``, ``success`` (1 or 0), and ``x_m``, ``y_m``
+and ``heading_rad`` by odometry, with empty cells if unknown.
 """
 
 import csv
@@ -37,7 +38,7 @@ class _Line(BaseModel):
 
     @property
     def pose(self) -> tuple[float, float, float] | None:
-        """Pose by the wheels."""
+        """Pose by odometry."""
         if self.x_m is None or self.y_m is None or self.heading_rad is None:
             return None
         return self.x_m, self.y_m, self.heading_rad
@@ -48,7 +49,7 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     names = [name for name in inside.names() if name.lower().endswith(".csv")]
     if NAME not in names and len(names) != 1:
         raise ImportFailure(
-            f"{inside.path}: needs {NAME} beside the images; there are {len(names)} CSV files"
+            f"{inside.path}: {NAME} not found, and {len(names)} CSV files to choose from"
         )
     name = NAME if NAME in names else names[0]
     drives: dict[str, list[Row]] = {}
@@ -76,14 +77,16 @@ def _lines(inside: Inside, name: str, rate_hz: float | None, tally: Tally) -> It
             raise ImportFailure(f"{inside.called(name)}: lacks the columns {', '.join(lacks)}")
         for number, values in enumerate(table):
             if number >= MOST_SAMPLES:
-                raise ImportFailure(f"{inside.called(name)}: more than {MOST_SAMPLES} rows")
+                raise ImportFailure(
+                    f"{inside.called(name)}: too large (more than {MOST_SAMPLES} rows)"
+                )
             told = {column: values[column] for column in COLUMNS if values.get(column)}
             try:
                 yield _Line.model_validate(told | ({"time_s": number / rate_hz} if rate_hz else {}))
             except ValidationError:
                 tally.count("rows lack an image or a number")
     except csv.Error as error:
-        raise ImportFailure(f"{inside.called(name)}: no CSV: {error}") from None
+        raise ImportFailure(f"{inside.called(name)}: not CSV: {error}") from None
 
 
 def _text(inside: Inside, name: str) -> Iterator[str]:

@@ -1,7 +1,7 @@
 """Tubs of donkeycar, version 2: a manifest, catalogs of JSON lines, and JPEGs.
 
 Steering and throttle are shares of full lock and full throttle. The turn rate of a car is their
-product. A tub has no unit for them: a way is reckoned only if the user gives the speeds.
+product. A tub has no units for them: odometry is computed only if the user gives the speeds.
 """
 
 from collections.abc import Iterator
@@ -39,13 +39,13 @@ class _Record(BaseModel):
 
 
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
-    """Read a tub; each of its sessions is a drive, and so is a tub of a version without sessions."""
+    """Read a tub; each session is a drive, and so is a tub without sessions."""
     manifest = _manifest(inside)
     sessions: dict[str, list[Row]] = {}
     found = 0
     for found, record in enumerate(_records(inside, manifest.paths, tally), 1):
         if found > MOST_SAMPLES:
-            raise ImportFailure(f"{inside.path}: more than {MOST_SAMPLES} records")
+            raise ImportFailure(f"{inside.path}: too large (more than {MOST_SAMPLES} records)")
         if record is not None and _is_usable(record, manifest, tally):
             sessions.setdefault(record.session, []).append(_row(record, job))
     if found != manifest.current_index:
@@ -64,7 +64,8 @@ def _manifest(inside: Inside) -> _Manifest:
     lines = inside.read("manifest.json").splitlines()
     if len(lines) < 5:
         raise ImportFailure(
-            f"{inside.called('manifest.json')}: not the manifest of a tub of version 2: five lines"
+            f"{inside.called('manifest.json')}: invalid: the manifest of a tub of version 2 "
+            "has five lines"
         )
     return inside.parsed(_Manifest, lines[4], "manifest.json")
 
@@ -80,7 +81,7 @@ def _is_usable(record: _Record, manifest: _Manifest, tally: Tally) -> bool:
 
 def _row(record: _Record, job: ImportJob) -> Row:
     time_s = record.time_ms / 1000.0 if job.rate_hz is None else record.index / job.rate_hz
-    # A joystick may exceed full throttle, a car cannot. An angle of -1 is full left.
+    # A joystick can exceed full throttle, a car cannot. An angle of -1 is full left.
     throttle = min(max(record.throttle, -1.0), 1.0)
     angle = min(max(record.angle, -1.0), 1.0)
     velocity = throttle * (job.speed or 1.0), -angle * throttle * (job.turn_rate or 1.0)
@@ -90,7 +91,7 @@ def _row(record: _Record, job: ImportJob) -> Row:
 def _records(inside: Inside, paths: list[str], tally: Tally) -> Iterator[_Record | None]:
     """Yield all records; None for a malformed record."""
     catalogs = {inside.regular(path): path for path in dict.fromkeys(paths)}
-    tally.count("names of catalogs are repeated, which are read once", len(paths) - len(catalogs))
+    tally.count("names of catalogs are repeated (read once)", len(paths) - len(catalogs))
     for path in catalogs.values():
         for line in filter(bytes.strip, inside.lines(path)):
             try:

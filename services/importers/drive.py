@@ -1,4 +1,4 @@
-"""A drive of a foreign recording, as every format is read: camera frames, velocities, poses."""
+"""Drive of a foreign recording in any format: camera frames, velocities, poses."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -13,9 +13,9 @@ from services.kit.errors import JobError
 from smal.camera import Camera
 
 Array = NDArray[np.float64]
-#: Of a drive, or rows of a file: 28 hours at 100 Hz, 100 bytes each.
+#: Maximum samples of a drive or rows of a file: 28 hours at 100 Hz, 100 bytes each.
 MOST_SAMPLES: Final = 10_000_000
-# No wheeled robot is faster.
+# Maximum speed of wheeled robots.
 FASTEST_M_S = 50.0
 FASTEST_RAD_S = 100.0
 LATEST_S: Final = 9e9  # The year 2255: recordings count nanoseconds since 1970 in 63 bits.
@@ -24,11 +24,11 @@ _MOST_TURNED_RAD: Final = 2e8  # A turn every second for a year.
 
 
 class ImportFailure(JobError):  # noqa: N818 - ImportError is Python's own
-    """A source cannot be imported; the text names it and the reason in one line."""
+    """Raised when a source cannot be imported; the text has its name and the reason in one line."""
 
 
 class NotAnImage(ValueError):  # noqa: N818 - it is caught and counted, one frame of many
-    """A frame cannot be used; the text is the reason."""
+    """Raised when a frame cannot be used; the text is the reason."""
 
 
 #: Returns a frame as JPEG, or raises `NotAnImage`; called only for frames in use.
@@ -41,15 +41,15 @@ Rows = Sequence[tuple[float, ...]] | Array
 class ImportedDrive:
     """One drive of a source; all times are on one clock, in seconds."""
 
-    name: str  # In the source.
+    name: str  # Name in the source.
     times_s: Array  # (n,) of the frames.
-    images: Images  # The n frames in order, anew for each call.
+    images: Images  # The n frames in order; each call returns new ones.
     motion: Array  # (k, 3) time, speed ahead, turn rate counter-clockwise, ascending.
-    #: (m, 4) time, x and y in metres, heading in radians, ascending: poses by the wheels.
+    #: (m, 4) time, x and y in metres, heading in radians, ascending: poses by odometry.
     track: Array = field(default_factory=lambda: np.zeros((0, 4)))
     success: bool | None = None  # Whether it reached its goal; None if unknown.
     camera: Camera | None = None  # None if unknown.
-    metric: bool = True  # Whether velocities are in metres and radians a second.
+    metric: bool = True  # Whether velocities are in metres and radians per second.
 
     @classmethod
     def of_rows(
@@ -62,9 +62,9 @@ class ImportedDrive:
         tally: "Tally",
         **more: Any,  # noqa: ANN401
     ) -> Self:
-        """Make a drive of rows of motion and track in any order; implausible rows are counted."""
+        """Create a drive from rows of motion and track in any order; count implausible rows."""
         furthest = (LATEST_S, _FURTHEST_M, _FURTHEST_M, _MOST_TURNED_RAD)
-        where = _sound(track, furthest, "poses are nowhere", tally)
+        where = _sound(track, furthest, "poses are not finite or too far away", tally)
         return cls(name, times_s, images, motion_of(motion, tally), where, **more)
 
 
@@ -81,22 +81,22 @@ class Tally:
             self.counts[printable(what)] += times
 
     def say(self, remark: str) -> None:
-        """Add a remark, once."""
+        """Add a remark once."""
         if remark not in self.remarks:
             self.remarks.append(remark)
 
     def counted(self) -> list[str]:
-        """Return the counted defects, a line each."""
+        """Return the counted defects, one per line."""
         return [f"{times} {what}" for what, times in self.counts.items()]
 
     def lines(self) -> list[str]:
-        """Return the remarks and the counted defects, a line each."""
+        """Return the remarks and the counted defects, one per line."""
         return [*self.remarks, *self.counted()]
 
 
 def motion_of(rows: Rows, tally: Tally) -> Array:
-    """Return (time, speed, turn rate) by time, (k, 3); implausible rows are counted."""
-    said = "velocities are no numbers, faster than any robot, or of no time in seconds"
+    """Return (time, speed, turn rate) by time, (k, 3); count implausible rows."""
+    said = "velocities are invalid: not numbers, faster than any robot, or at times not in seconds"
     return _sound(rows, (LATEST_S, FASTEST_M_S, FASTEST_RAD_S), said, tally)
 
 

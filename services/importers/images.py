@@ -1,4 +1,4 @@
-"""Foreign images, image files and videos as JPEG; a JPEG is copied to the byte."""
+"""Conversion of foreign images and videos to JPEG; JPEG files are copied unchanged."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -14,10 +14,10 @@ from services.importers.drive import Array, Image, ImportedDrive, ImportFailure,
 from services.importers.inside import Inside
 from services.kit.jpeg import MOST_PIXELS, decode_image_file, encode_jpeg, is_jpeg
 
-MOST_BYTES: Final = CompressedImage.max_bytes - 2**16  # Most bytes of an image file.
-_MOST: Final = (4096, 3072)  # Columns and rows that a recording's image can have.
-_LEAST: Final = (32, 24)  # Those that features need.
-#: No camera of a robot is faster: such times are those of copying the data set.
+MOST_BYTES: Final = CompressedImage.max_bytes - 2**16  # Maximum size of an image file, bytes.
+_MOST: Final = (4096, 3072)  # Maximum columns and rows of a recorded image.
+_LEAST: Final = (32, 24)  # Minimum columns and rows for features.
+#: Maximum rate of robot cameras: higher rates are the times of copying the data set.
 _FASTEST_HZ: Final = 120.0
 _UNREAD: Final = "images cannot be read"
 _JPEG: Final = b"\xff\xd8"
@@ -57,7 +57,7 @@ def _check_size(pixels: NDArray[np.uint8]) -> None:
 
 
 class Row(NamedTuple):
-    """A frame: image file, time, velocity (speed ahead, turn rate), and pose by the wheels."""
+    """A frame: image file, time, velocity (speed ahead, turn rate), and pose by odometry."""
 
     image: str
     time_s: float
@@ -74,14 +74,14 @@ def drive_of(
     success: bool | None = None,
     metric: bool = True,
 ) -> ImportedDrive:
-    """Make a drive of its frames; ImportFailure if the frame rate is implausible."""
+    """Create a drive from its frames; raise ImportFailure if the frame rate is implausible."""
     times_s = np.array([row.time_s for row in rows])
     usual_s = float(np.median(np.diff(times_s))) if len(rows) > 1 else 1.0
     if usual_s * _FASTEST_HZ < 1.0:
-        said = f"{1.0 / usual_s:.0f} frames a second" if usual_s > 0.0 else "all frames at once"
+        said = f"{1.0 / usual_s:.0f} frames per second" if usual_s > 0.0 else "all frames at once"
         raise ImportFailure(
-            f"{inside.path}: its times say {said}, as those of a copied data set do; say how many there were with "
-            f"--rate, for example --rate 20"
+            f"{inside.path}: invalid times ({said}), as in a copied data set; give the frame "
+            "rate with --rate, for example --rate 20"
         )
     motion = [(row.time_s, *row.velocity) for row in rows]
     track = [(row.time_s, *row.pose) for row in rows if row.pose is not None]
@@ -109,13 +109,13 @@ def frames_at(file: IO[bytes], called: str, times_s: Array, tolerance_s: float) 
     import av  # noqa: PLC0415 - of the extra `formats`
 
     try:
-        # Of this file alone: a playlist that calls itself MP4 could name others.
+        # From the open file only: a playlist disguised as MP4 can name other files.
         with closing(av.open(file, mode="r", format="mp4")) as container:
             if not container.streams.video:
-                raise ImportFailure(f"{called}: has no video")
+                raise ImportFailure(f"{called}: no video")
             stream = container.streams.video[0]
             if stream.codec_context.width * stream.codec_context.height > MOST_PIXELS:
-                raise ImportFailure(f"{called}: larger than {MOST_PIXELS} pixels")
+                raise ImportFailure(f"{called}: too large (more than {MOST_PIXELS} pixels)")
             stream.thread_type = "NONE"
             stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
             if times_s[0] > 0.0 and stream.time_base:
@@ -125,7 +125,7 @@ def frames_at(file: IO[bytes], called: str, times_s: Array, tolerance_s: float) 
             yield from _nearest(container.decode(stream), times_s, tolerance_s)
     except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:
         reason = getattr(error, "strerror", None) or type(error).__name__
-        raise ImportFailure(f"{called}: not a video that can be read: {reason}") from None
+        raise ImportFailure(f"{called}: not a readable video: {reason}") from None
 
 
 def _nearest(frames: Iterator[Any], times_s: Array, tolerance_s: float) -> Iterator[Image]:

@@ -1,4 +1,4 @@
-"""Read files of a foreign folder, and never a file outside of it, whatever its links."""
+"""Access to the files of a foreign folder, never to files outside, whatever its links."""
 
 import os
 from collections.abc import Iterator
@@ -12,14 +12,14 @@ from schemas.codec import describe, printable
 from services.importers.drive import ImportFailure
 from services.kit.root import OutsideError, below, open_below
 
-#: Of a file that is read as a whole; the description of a thousand hours is smaller.
+#: Maximum size of a file that is read as a whole; metadata of a thousand hours are smaller.
 MOST_BYTES: Final = 256 * 2**20
-LONGEST_LINE: Final = 1_000_000  # Characters; a row of numbers has a few hundred.
+LONGEST_LINE: Final = 1_000_000  # In characters; a row of numbers has a few hundred.
 Model = TypeVar("Model", bound=BaseModel)
 
 
 class Inside:
-    """A folder or a file to read from; its own path may have links. ImportFailure if not found."""
+    """A folder or a file to read from; its own path can contain links."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -28,16 +28,16 @@ class Inside:
         self.is_folder = self._root.is_dir()
 
     def called(self, name: str) -> str:
-        """Return the name of a file in it for messages."""
+        """Return the name of a file in the folder, for messages."""
         return printable(str(self.path / name if name else self.path))
 
     def regular(self, name: str = "") -> Path:
-        """Return the path of a regular file without links; errors as of `open`."""
+        """Return the path of a regular file without links; raise errors as `open` does."""
         with self.open(name):
             return below(self._root, name)
 
     def open(self, name: str = "") -> IO[bytes]:
-        """Open a file; ImportFailure if it is outside of the folder, irregular or unreadable."""
+        """Open a file; raise ImportFailure if it is outside the folder, irregular or unreadable."""
         with self._failures(name):
             return open_below(self._root, name)
 
@@ -55,11 +55,11 @@ class Inside:
             raise ImportFailure(f"{self.called(name)}: {why}") from None
 
     def read(self, name: str = "", most: int = MOST_BYTES) -> bytes:
-        """Return the bytes of a file; ImportFailure as of `open`, or if it is too large."""
+        """Return the bytes of a file; raise errors as `open` does, or if it is too large."""
         with self.open(name) as file:
             size = os.fstat(file.fileno()).st_size  # read() allocates the size that it is given.
             if size > most:
-                raise ImportFailure(f"{self.called(name)}: larger than {most} bytes")
+                raise ImportFailure(f"{self.called(name)}: too large (more than {most} bytes)")
             return file.read(size)
 
     def lines(self, name: str) -> Iterator[bytes]:
@@ -68,12 +68,12 @@ class Inside:
             while line := file.readline(LONGEST_LINE + 1):
                 if len(line) > LONGEST_LINE:
                     raise ImportFailure(
-                        f"{self.called(name)}: a line of more than {LONGEST_LINE} characters"
+                        f"{self.called(name)}: line too long (more than {LONGEST_LINE} characters)"
                     )
                 yield line
 
     def names(self, folder: str = "") -> list[str]:
-        """Return the sorted names in a folder; none if there is no such folder."""
+        """Return the sorted names in a folder, or () if there is no such folder."""
         with self._failures(folder):
             path = below(self._root, folder)
             return sorted(each.name for each in path.iterdir()) if path.is_dir() else []

@@ -1,4 +1,4 @@
-"""The options of an import, and its result."""
+"""Options and result of an import."""
 
 import importlib.util
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ _Rate = Annotated[float, Field(gt=0.0, le=1000.0)]
 
 
 class ImportJob(Strict):
-    """Options of an import, see `smal import --help`; names are those of the source."""
+    """Options of an import (see `smal import --help`), under the names of the source."""
 
     format: Format
     path: str
@@ -46,11 +46,11 @@ class ImportJob(Strict):
     episodes: tuple[str, ...] = ()
 
 
-OdometryOrigin = Literal["of the source", "reckoned from velocities", "none"]
+OdometryOrigin = Literal["of the source", "computed from velocities", "none"]
 
 
 class ImportReport(Strict):
-    """Result of an import: recordings, ticks, atoms, successful drives, nominal velocities."""
+    """Result of an import: recordings, ticks, actions, successful drives, nominal velocities."""
 
     files: tuple[str, ...]
     ticks: int
@@ -58,7 +58,7 @@ class ImportReport(Strict):
     odometry: OdometryOrigin
     speed: float
     turn_rate: float
-    metric: bool  # Whether these are metres and radians a second; else units of the source.
+    metric: bool  # Whether these are metres and radians per second; otherwise units of the source.
     atoms: dict[str, int]
 
 
@@ -68,10 +68,10 @@ def missing_packages(form: Format) -> list[str]:
 
 
 def check_format(name: str, formats: Sequence[Format] = FORMATS) -> Format:
-    """Return the format of a name; UsageError if it is unknown, or a package is missing."""
+    """Return the format of a name; raise UsageError if it is unknown or a package is missing."""
     form = next((one for one in formats if one == name), None)
     if form is None:
-        raise UsageError(f"no format {name!r}; known are: {', '.join(formats)}")
+        raise UsageError(f"format {name!r} not found; choose from {', '.join(formats)}")
     if missing := missing_packages(form):
         raise UsageError(f"{form} needs {' and '.join(missing)}: pip install -e '.[formats]'")
     return form

@@ -24,7 +24,7 @@ from services.importers.images import as_jpeg, frames_at
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
 
-#: Metres and radians a second; and the pose by the wheels, in our own data sets.
+#: Metres and radians per second, and the pose by odometry, in our own data sets.
 VELOCITIES: Final = ("linear_velocity", "angular_velocity")
 ACTION = "action"
 STATE = "observation.state"
@@ -40,7 +40,7 @@ _NAMES: Final[dict[tuple[str, ...], float]] = {
     ("vx", "wz"): 1.0,
 }
 _SIDEWAYS: Final = ("y_vel", "linear_y", "vy")
-_LEAST_SIDEWAYS: Final = 0.02  # Slower sideways is measured badly, as `ticks` has it for ahead.
+_LEAST_SIDEWAYS: Final = 0.02  # Slower sideways movement is measurement noise, as in `ticks` ahead.
 _LINES: Final = "meta/episodes.jsonl"  # Files of version 2.
 _DATA_V2: Final = "data/chunk-{0:03d}/episode_{1:06d}.parquet"
 _VIDEO_V2: Final = "videos/chunk-{0:03d}/{2}/episode_{1:06d}.mp4"
@@ -49,12 +49,12 @@ EPISODES: Final = "meta/episodes"
 DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 _EPISODE: Final = "episode_index"
-#: Of a row that describes an episode.
+#: Columns that describe an episode.
 _ROW: Final = (_EPISODE, "length", "data/chunk_index", "data/file_index")
-# Rows of numbers, and of images, that are read at a time.
+# Rows of numbers, and of images, per read.
 _ROWS = 4096
 _IMAGES = 16
-#: Limits of a Parquet file's description: bytes and entries; ten million rows have 100,000.
+#: Limits of a Parquet file's metadata, bytes and entries; ten million rows have 100,000.
 _LIMITS: Final = {"thrift_string_size_limit": 64 * 2**20, "thrift_container_size_limit": 10_000_000}
 
 
@@ -71,7 +71,7 @@ class _Feature(BaseModel):
 
 
 class _Info(BaseModel):
-    """The description that holds for all episodes."""
+    """Metadata common to all episodes."""
 
     codebase_version: Literal["v2.0", "v2.1", "v3.0"]
     fps: Annotated[float, Field(ge=1.0, le=1000.0)]
@@ -80,7 +80,7 @@ class _Info(BaseModel):
     features: dict[str, _Feature]
 
     def names(self, feature: str) -> list[str]:
-        """Return the names of a feature's numbers; none if there is no such feature."""
+        """Return the names of a feature's numbers, or () if there is no such feature."""
         return self.features[feature].names if feature in self.features else []
 
 
@@ -119,7 +119,7 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
         one for one in dataset.episodes() if not job.episodes or str(one.number) in job.episodes
     ]
     once = {episode.number: episode for episode in asked}
-    tally.count("episodes are described again, which are read once", len(asked) - len(once))
+    tally.count("episodes are described again (read once)", len(asked) - len(once))
     drives = [dataset.drive(episode) for episode in once.values()]
     announced = dataset.info.total_episodes
     if not job.episodes and announced != len(drives):
@@ -155,16 +155,18 @@ class _DataSet:
                 each.ndim == 1 and ((each >= 0.0) & (each < np.inf)).all() for each in columns
             )
             if not all(counts):
-                raise ImportFailure(f"{self._inside.called(name)}: not numbers from 0 on")
+                raise ImportFailure(
+                    f"{self._inside.called(name)}: episodes are not numbered from 0"
+                )
             yield from map(self._episode_of, zip(*map(np.ndarray.tolist, columns), strict=True))
 
     def _tables(self) -> list[str]:
-        """Return the files that describe episodes."""
+        """Return the files with the metadata of episodes."""
         chunks = [f"{EPISODES}/{chunk}" for chunk in self._inside.names(EPISODES)]
         files = [f"{chunk}/{name}" for chunk in chunks for name in self._inside.names(chunk)]
         if not files:
             called = self._inside.called(EPISODES)
-            raise ImportFailure(f"{called}: has no chunk-000/file-000.parquet")
+            raise ImportFailure(f"{called}: chunk-000/file-000.parquet not found")
         return files
 
     def _film_columns(self) -> list[str]:
@@ -194,7 +196,7 @@ class _DataSet:
             episode, found[where.feature], where.feature, [where.linear, where.angular, *sideways]
         )
         aside = np.abs(moved[:, 2:]) > _LEAST_SIDEWAYS
-        self._tally.count("frames go sideways, for which there is no atom", int(aside.sum()))
+        self._tally.count("frames go sideways, without a matching action", int(aside.sum()))
         track = np.zeros((0, 1 + len(POSE)))
         if self._pose:
             poses = self._part(episode, found[STATE], STATE, self._pose)
@@ -224,7 +226,7 @@ class _DataSet:
             return np.zeros((0, len(at)))
         if rows.ndim != 2 or rows.shape[1] <= max(at):
             called = self._inside.called(episode.data)
-            raise ImportFailure(f"{called}: {feature} has fewer numbers than {INFO} names")
+            raise ImportFailure(f"{called}: {feature} has fewer numbers than {INFO} announces")
         return rows[:, at]
 
     def _video(self, episode: _Episode, times_s: Array) -> Iterator[Image]:
@@ -243,7 +245,7 @@ def _camera(info: _Info, job: ImportJob, called: str) -> str:
     cameras = [key for key, feature in info.features.items() if feature.dtype in ("video", "image")]
     named = ", ".join(map(printable, cameras)) or "none"
     if job.camera is not None and job.camera not in cameras:
-        raise ImportFailure(f"{called}: no camera {job.camera}; there are: {named}")
+        raise ImportFailure(f"{called}: camera {job.camera} not found; choose from {named}")
     if job.camera is None and len(cameras) != 1:
         raise ImportFailure(f"{called}: {len(cameras)} cameras ({named}); choose one with --camera")
     return job.camera or cameras[0]
@@ -251,7 +253,7 @@ def _camera(info: _Info, job: ImportJob, called: str) -> str:
 
 def _velocity(info: _Info, job: ImportJob, called: str) -> _Velocity:
     names_of = {feature: list(map(_plain, info.names(feature))) for feature in (ACTION, STATE)}
-    # The command describes the driver better than the movement that followed.
+    # The command describes the driver better than the movement that follows.
     for feature, names in names_of.items():
         for (linear, angular), radians in _wanted_names(job).items():
             if {linear, angular} <= set(names):
@@ -266,13 +268,13 @@ def _velocity(info: _Info, job: ImportJob, called: str) -> _Velocity:
     there = dict.fromkeys(chain.from_iterable(names_of.values()))
     named = ", ".join(map(printable, there)) or "no names"
     raise ImportFailure(
-        f"{called}: neither {ACTION} nor {STATE} has a linear and an angular velocity of a base "
+        f"{called}: no linear and angular velocity of a base in {ACTION} or {STATE} "
         f"({named[:300]}); name them with --velocity LINEAR,ANGULAR"
     )
 
 
 def _wanted_names(job: ImportJob) -> dict[tuple[str, ...], float]:
-    """Return the names of velocities to look for, each with the unit of the angular one."""
+    """Return the names of velocities to search for, each with the unit of the angular one."""
     if job.velocity is None:
         return _NAMES
     asked = tuple(map(_plain, job.velocity.split(",")))
@@ -304,7 +306,7 @@ def _batches(
         with inside.open(name) as file:
             table = pq.ParquetFile(file, **_LIMITS)
             if table.metadata.num_rows > MOST_SAMPLES:
-                raise ImportFailure(f"{called}: announces more than {MOST_SAMPLES} rows")
+                raise ImportFailure(f"{called}: too large (more than {MOST_SAMPLES} rows)")
             if missing := [column for column in wanted if column not in table.schema_arrow.names]:
                 raise ImportFailure(f"{called}: lacks the column {printable(missing[0])}")
             for batch in table.iter_batches(batch_size=rows, columns=wanted, use_threads=False):
@@ -315,14 +317,14 @@ def _batches(
                 )
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         raise ImportFailure(
-            f"{called}: not a Parquet file that can be read: {printable(str(error))}"
+            f"{called}: not a readable Parquet file: {printable(str(error))}"
         ) from None
 
 
 def _numbers(
     inside: Inside, name: str, columns: Sequence[str], episode: int | None = None
 ) -> list[Array]:
-    """Return columns of numbers: (n,), or of lists of as many numbers each, (n, width)."""
+    """Return columns of numbers: (n,), or of lists of equal length, (n, width)."""
     batches = [
         [_cells(batch, column, inside.called(name)) for column in columns]
         for batch in _batches(inside, name, columns, episode)
@@ -345,5 +347,5 @@ def _cells(batch: Any, column: str, called: str) -> Array:  # noqa: ANN401 - as 
 
 
 def _not_numbers(column: str, called: str) -> ImportFailure:
-    wrong = "is not a column of numbers, or its rows are not equally long"
+    wrong = "is not a column of numbers, or its rows differ in length"
     return ImportFailure(f"{called}: {printable(column)} {wrong}")

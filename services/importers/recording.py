@@ -1,4 +1,4 @@
-"""Write a drive as a recording like those of our own recorder."""
+"""Writer of foreign drives as recordings like those of our own recorder."""
 
 import hashlib
 import re
@@ -24,13 +24,13 @@ from services.recordings.writer import EpisodeWriter
 from smal.camera import Camera
 from smal.movement import wrapped
 
-_DIGITS: Final = 6  # Of poses: a micrometre and a microradian.
+_DIGITS: Final = 6  # Decimals of poses: a micrometre and a microradian.
 _LEAST_FRAMES: Final = 2
 _POSE: Final = ("x_m", "y_m", "heading_rad", "speed_m_s", "turn_rate_rad_s")
 
 
 class Written(NamedTuple):
-    """The recording of a drive, and the number of ticks of each atom."""
+    """Recording of a drive, and its number of ticks by action."""
 
     path: Path
     atoms: Counter[str]
@@ -49,11 +49,11 @@ def write(
     images = _images(drive, shown, tally, advance)
     begin = list(islice(images, _LEAST_FRAMES))
     if len(begin) < _LEAST_FRAMES:
-        tally.count("drives have less than two usable frames and are left out")
+        tally.count("drives have fewer than two usable frames (left out)")
         return None
     first, jpeg = begin[0]
     episode = _Episode(drive, job, shown, usual, _name(drive, shown, jpeg))
-    tally.count("ticks lack a velocity; the robot is taken to stand", episode.silent)
+    tally.count("ticks lack a velocity (counted as standing)", episode.silent)
     started = episode.event(first, event="started")
     writer = EpisodeWriter.begin(Path(job.folder), started)
     try:
@@ -127,7 +127,7 @@ class _Episode:
 def _images(
     drive: ImportedDrive, shown: Ticks, tally: Tally, advance: Callable[[], None]
 ) -> Iterator[tuple[int, bytes]]:
-    """Yield each row of the ticks with its JPEG, but those whose frame is no image."""
+    """Yield each row of the ticks with its JPEG, except unusable frames."""
     rows = np.searchsorted(shown.frames, np.arange(drive.times_s.size + 1)).tolist()
     for frame, image in enumerate(drive.images()):
         advance()
@@ -142,7 +142,7 @@ def _images(
 
 
 def _poses(drive: ImportedDrive, times_s: Array, moves: Moves | None) -> Array | None:
-    """Return the odometry of each tick, (n, 5), NaN where unknown; None if it is never known."""
+    """Return the odometry of each tick, (n, 5), NaN if unknown; None if always unknown."""
     way = odometry(drive, times_s, moves)
     if way is None:
         return None
@@ -156,7 +156,7 @@ def _poses(drive: ImportedDrive, times_s: Array, moves: Moves | None) -> Array |
 
 
 def _name(drive: ImportedDrive, shown: Ticks, first: bytes) -> str:
-    """Name an episode by its content: a drive that is imported twice gets the same name."""
+    """Name an episode by its content, so that a drive imported twice gets the same name."""
     digest = hashlib.sha256(first)
     for part in (shown.numbers, drive.times_s[shown.frames], drive.motion):
         digest.update(part.tobytes())

@@ -1,7 +1,7 @@
 """Bags of ROS 2, MCAP or SQLite: a folder or a file; times are those of reception.
 
-Types are those of ROS, not the definitions in a bag. The command of the driver makes the atoms;
-odometry, if there is any, gives the pose. Our own reader of MCAP survives damage.
+Types are those of ROS, not the definitions in a bag. The driver's command determines the actions;
+odometry, if any, gives the pose. Our own MCAP reader tolerates damage.
 """
 
 import math
@@ -39,9 +39,9 @@ from services.recordings.records import MAGIC, mapped, records
 from smal.camera import Camera
 
 _ZSTD: Final = b"\x28\xb5\x2f\xfd"
-#: Largest message: a raw image of 4096x3072x4, and more.
+#: Largest message: a raw image of 4096x3072x4 and its header.
 _MOST_BYTES: Final = 4 * 4096 * 3072 + 2**20
-#: Bytes of a row beside its blob: two lengths, and the header of three columns and more.
+#: Bytes of a row beside its blob: two lengths, and a header of at least three columns.
 _LEAST_ROW: Final = 6
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 RAW = "sensor_msgs/msg/Image"
@@ -85,17 +85,17 @@ def _files(inside: Inside) -> list[str]:
     suffixes = (".mcap", ".db3")
     if not inside.is_folder:
         if inside.path.suffix not in suffixes:
-            raise ImportFailure(f"{inside.path}: not a bag: a folder, or a file *.mcap or *.db3")
+            raise ImportFailure(f"{inside.path}: not a bag (a folder, or a file *.mcap or *.db3)")
         return [""]
     names = inside.names()
     found = sorted((name for name in names if name.endswith(suffixes)), key=_by_number)
     if not found:
         bags = [name for name in names if "metadata.yaml" in inside.names(name)]
-        more = [f"; {printable(name)} in it is a bag: import each by itself" for name in bags]
+        more = [f"; {printable(name)} in it is a bag: import each bag separately" for name in bags]
         more += [
             f"; unpack {printable(name)} first: zstd -d" for name in names if name.endswith(".zstd")
         ]
-        raise ImportFailure(f"{inside.path}: no *.mcap and no *.db3 in this folder{[*more, ''][0]}")
+        raise ImportFailure(f"{inside.path}: no *.mcap or *.db3 in this folder{[*more, ''][0]}")
     return found
 
 
@@ -110,7 +110,7 @@ def _of_mcap(path: Path, tally: Tally) -> Iterator[Received]:
     if data[: len(MAGIC)] != MAGIC:
         raise McapError("not an MCAP file")
     if data[-len(MAGIC) :] != MAGIC:
-        tally.say(f"{printable(path.name)}: its end is missing; the whole messages are read")
+        tally.say(f"{printable(path.name)}: end missing; only complete messages are read")
     types: dict[int, str] = {}
     channels: dict[int, tuple[str, str]] = {}
     for record in records(data):
@@ -137,7 +137,8 @@ def _of_sqlite(path: Path, tally: Tally) -> Iterator[Received]:
         ):
             if _is_cdr(form, tally):
                 topics[number] = str(name), str(kind)
-        # In the order of reception: to sort by time could take as much memory as the messages.
+        # In the order of reception, because sorting by time can need as much memory as the
+        # messages.
         left = path.stat().st_size
         for number, stamp_ns, data in database.execute(
             "SELECT topic_id, timestamp, data FROM messages ORDER BY rowid"
@@ -150,14 +151,14 @@ def _of_sqlite(path: Path, tally: Tally) -> Iterator[Received]:
 
 
 def _check_plain(database: sqlite3.Connection, table: str) -> None:
-    """Reject a view, a virtual table or a generated column, which could compute for ever."""
+    """Reject a view, a virtual table or a generated column, which can compute forever."""
     found = database.execute(
         "SELECT type, rootpage FROM sqlite_master WHERE name = ?", (table,)
     ).fetchall()
     if (
         len(found) != 1 or found[0][0] != "table" or not found[0][1]
     ):  # A virtual table has no page of its own.
-        raise sqlite3.DatabaseError("no tables of topics and messages")
+        raise sqlite3.DatabaseError("tables of topics and messages not found")
     for name, hidden in database.execute(
         "SELECT name, hidden FROM pragma_table_xinfo(?)", (table,)
     ):
@@ -167,7 +168,8 @@ def _check_plain(database: sqlite3.Connection, table: str) -> None:
 
 def _is_cdr(encoding: object, tally: Tally) -> bool:
     tally.count(
-        f"topics are {encoding or 'of no encoding'}, not ROS 2's CDR", int(encoding != "cdr")
+        f"unsupported encoding {encoding or '(empty)'} of topics, not ROS 2's CDR",
+        int(encoding != "cdr"),
     )
     return encoding == "cdr"
 
@@ -180,9 +182,9 @@ def _unpacked(data: bytes | memoryview) -> bytes:
     try:
         unpacked: bytes = ZstdDecompressor().stream_reader(whole).read(_MOST_BYTES + 1)
     except ZstdError as error:
-        raise ValueError(f"a packed message: {error}") from None
+        raise ValueError(f"invalid packed message: {error}") from None
     if len(unpacked) > _MOST_BYTES:
-        raise ValueError(f"a packed message of more than {_MOST_BYTES} bytes")
+        raise ValueError(f"packed message too large (more than {_MOST_BYTES} bytes)")
     return unpacked
 
 
@@ -191,7 +193,7 @@ def typestore() -> Any:  # noqa: ANN401 - of a package that may be missing
     """Return the types of ROS messages."""
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - of the extra `formats`
 
-    # The types in use are the same in every distribution from Foxy on.
+    # The used types are equal in every distribution from Foxy on.
     return get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -217,7 +219,7 @@ _VELOCITY: Final = _Option("--velocity", "velocity (Twist, TwistStamped or Odome
 
 @dataclass
 class _Found:
-    """The content of a bag by topic; of images only the times."""
+    """The messages of a bag by topic; of images only the times."""
 
     path: Path
     images: dict[str, list[float]] = field(default_factory=dict)
@@ -259,7 +261,7 @@ class _Found:
         return self._chosen(_VELOCITY, wish, usual, list(self.velocities))
 
     def track_topic(self, velocity: str) -> str | None:
-        """Return the topic of odometry; None if there is none, or several."""
+        """Return the topic of odometry; None if there is no or more than one such topic."""
         if velocity in self.tracks:
             return velocity
         tracks = _called(self.tracks, "odom") or list(self.tracks)
@@ -276,13 +278,13 @@ class _Found:
         return beside[0] if len(beside) == 1 else None
 
     def _chosen(self, option: _Option, wish: str | None, usual: list[str], known: list[str]) -> str:
-        """Return the wished topic, or the only usual one."""
+        """Return the requested topic, or the only usual topic."""
         if wish in known:
             return wish
         if wish is not None:
-            wrong = f"no topic {wish} of {option.what}; there are: {_list(known)}"
+            wrong = f"topic {wish} of {option.what} not found; choose from {_list(known)}"
         elif not usual:
-            wrong = f"no topic of {option.what}; it has: {_list(sorted(self.topics))}"
+            wrong = f"topic of {option.what} not found among {_list(sorted(self.topics))}"
         elif len(usual) > 1:
             wrong = (
                 f"several topics of {option.what}: {_list(usual)}; choose one with {option.flag}"
@@ -302,25 +304,25 @@ class _Found:
 def _keep(kept: dict[str, list[Any]], topic: str, sample: Any) -> None:  # noqa: ANN401 - a time, or a tuple with one
     samples = kept.setdefault(topic, [])
     if len(samples) >= MOST_SAMPLES:
-        raise ImportFailure(f"{printable(topic)}: more than {MOST_SAMPLES} messages")
+        raise ImportFailure(f"{printable(topic)}: too large (more than {MOST_SAMPLES} messages)")
     samples.append(sample)
 
 
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
-    """Read a bag; it is one drive."""
+    """Read a bag as one drive."""
     typestore()
     found = _Found(inside.path)
     for message in received(inside, tally):
         try:
             found.take(message)
         except ValueError:
-            tally.count(f"messages of {message.topic} are not what their type says")
+            tally.count(f"messages of {message.topic} do not match their type")
     image = found.image_topic(job.camera)
     velocity = found.velocity_topic(job.velocity)
     track = found.track_topic(velocity)
     if track is not None:
-        tally.say(f"odometry is that of {printable(track)}")
-    tally.say(f"images are those of {printable(image)}, velocities those of {printable(velocity)}")
+        tally.say(f"odometry from {printable(track)}")
+    tally.say(f"images from {printable(image)}, velocities from {printable(velocity)}")
 
     def images() -> Iterator[Image]:
         return (partial(_image, message) for message in received(inside, Tally(), image))
@@ -339,7 +341,7 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
 
 
 def _called(topics: Collection[str], usual: str) -> list[str]:
-    """Return the topic with the usual name; nothing if several have it."""
+    """Return the topic with the usual name, if there is exactly one."""
     found = [topic for topic in topics if topic.rpartition("/")[2] == usual]
     return found if len(found) == 1 else []
 
@@ -355,7 +357,8 @@ def _image(message: Received) -> bytes:
             return as_jpeg(bytes(image.data))
         if image.encoding not in ENCODINGS:
             raise NotAnImage(
-                "images have an encoding that is not read (8 bits of RGB, BGR, grey or YUV 4:2:2 are)"
+                "images have an unsupported encoding (supported: 8 bits of RGB, BGR, grey, YUV "
+                "4:2:2)"
             )
         return raw_as_jpeg(
             rgb_of(image.encoding, image.width, image.height, image.step, image.data)

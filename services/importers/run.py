@@ -1,7 +1,7 @@
-"""Run an import: read, resample and write.
+"""Execution of an import: read, resample and write.
 
-The libraries that decode Parquet, video and images are written in C and C++, so that ``smal import`` runs `work` in a
-process of its own (`smal.files.confined`).
+`smal import` runs `work` in a separate process (`smal.files.confined`), because the libraries that
+decode Parquet, video and images are written in C and C++.
 """
 
 import importlib
@@ -25,14 +25,14 @@ from smal.files.confined import ConfinedError, Work
 
 #: Modules of this package that read a format, by ``read(inside, job, tally)``.
 _READERS: Final[dict[Format, str]] = {form: form for form in FORMATS} | {"folder": "csv_folder"}
-MOST_MEMORY: Final = 2 * 2**30  # Bytes of memory; the numbers of the longest drive take a quarter.
+MOST_MEMORY: Final = 2 * 2**30  # In bytes; the numbers of the longest drive take a quarter.
 _PERIOD_S: Final = 0.1  # Between two reports of progress, seconds.
 
 
 def run(
     job: ImportJob, tally: Tally, advance: Callable[[int], None] = lambda _total: None
 ) -> ImportReport:
-    """Import; ``advance`` is called with the number of all frames after each of them.
+    """Import a source; ``advance`` is called with the number of all frames after each frame.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def run(
             raise ImportFailure(f"{job.path}: nothing to import")
         return _report(drives, written, usual)
     except ImportFailure as error:
-        # The cause may be among the counted defects.
+        # The cause can be among the counted defects.
         raise ImportFailure("; ".join([str(error), *tally.counted()])) from None
 
 
@@ -60,7 +60,7 @@ def _drives(job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     if not drives:
         names = ", ".join(drive.name for drive in every[:10]) or "none"
         raise ImportFailure(
-            f"{job.path}: none of the episodes {', '.join(job.episodes)}; there are: {names}"
+            f"{job.path}: episodes {', '.join(job.episodes)} not found; choose from {names}"
         )
     return drives
 
@@ -72,7 +72,7 @@ def _report(
     odometry: OdometryOrigin = "none"
     if any(one.with_odometry for one in written):
         tracked = any(drive.track.size for drive in drives)
-        odometry = "of the source" if tracked else "reckoned from velocities"
+        odometry = "of the source" if tracked else "computed from velocities"
     return ImportReport(
         files=tuple(str(one.path) for one in written),
         ticks=made.total(),
@@ -86,7 +86,7 @@ def _report(
 
 
 def work(request: Any, child: Work) -> dict[str, Any]:  # noqa: ANN401 - JSON
-    """Run a job, given as JSON, in a process of its own; ConfinedError if it fails."""
+    """Run a job, given as JSON, in a separate process; raise ConfinedError if it fails."""
     job = ImportJob.model_validate_json(json.dumps(request))
     tally = Tally()
     done = 0

@@ -1,10 +1,11 @@
-"""Resample drives to ticks of 10 Hz, and derive the movement of the robot in each tick.
+"""Resampling of drives to ticks of 10 Hz, with the action of each tick.
 
-A tick shows the frame that is nearest to its time. What the robot did in it is how far it went until the next one:
-a velocity holds until the next, but not longer than a base would obey it.
+A tick shows the frame that is nearest to its time. Its movement is the distance to the next tick: a
+velocity holds until the next velocity, at most for the command timeout of a base.
 
-How fast this robot usually drives and turns is measured on the source itself, so that one rule does for a toy car's
-throttle and for metres a second. A tick that does both is the atom of a turn where the turn is sharp.
+The usual speed and turn rate are measured on the source itself, so that one rule works for a toy
+car's
+throttle and for metres per second. If a tick drives and turns, it is a turn if the turn is sharp.
 """
 
 import math
@@ -25,18 +26,18 @@ from services.importers.drive import (
 from smal.movement import seen_from
 
 TICK_S: Final = 0.1  # Time between two ticks of the stack and of learning.
-#: Timeout of a base without commands: as in ROS drivers, twice that of our gate.
+#: Command timeout of a base: as in ROS drivers, twice the timeout of our gate.
 HOLD_S: Final = 0.5
-#: Largest distance of a tick from its frame: below 4 Hz too little of the way is visible.
+#: Largest distance of a tick from its frame; below 4 Hz too little of the route is visible.
 GAP_S: Final = 0.125
-_ROUNDING_S: Final = 1e-6  # Error of times by rounding.
-_FURTHEST_M: Final = 1e6  # A recording has no pose further from its first.
-#: Least deliberate velocities: 2 cm and 6 degrees a second. Without units they are 2 % of full
-#: throttle, and 10 % of full lock at that.
+_ROUNDING_S: Final = 1e-6  # Rounding error of times.
+_FURTHEST_M: Final = 1e6  # Maximum distance of a recorded pose from the first pose.
+#: Smallest intended velocities: 2 cm and 6 degrees per second. Without units they are 2 % of full
+#: throttle, and 10 % of full lock at that throttle.
 _LEAST_LINEAR = 0.02
 _LEAST_ANGULAR = 0.1
-#: Quantile of the moving samples that is the nominal speed, and the nominal turn rate: the fastest
-#: samples are noise or slips.
+#: Quantile of the moving samples that defines the nominal speed and turn rate: the fastest samples
+#: are noise or slips.
 QUANTILE: Final = 0.95
 
 
@@ -54,17 +55,17 @@ class Ticks(NamedTuple):
 
 
 def ticks(times_s: Array, from_s: float, to_s: float, tally: Tally) -> Ticks:
-    """Return the ticks of a drive by the times of its frames, and count the frames left out.
+    """Return the ticks of a drive from the times of its frames, and count the omitted frames.
 
-    It is cut to a part, in seconds from its first frame; tick 0 is at the first frame within. Times that are not in
-    seconds are an `ImportFailure`.
+    The drive is cut to a part, in seconds from its first frame; tick 0 is at the first frame in it.
+    Raises ImportFailure if times are not in seconds.
     """
     numbers = np.where(np.isfinite(times_s), times_s, -np.inf)
     before = np.maximum.accumulate(np.concatenate([[-np.inf], numbers]))[:-1]
     later = np.flatnonzero(numbers > before)
-    tally.count("frames are not later than the one before", times_s.size - later.size)
+    tally.count("frames are not later than the frame before", times_s.size - later.size)
     if (np.abs(times_s[later]) > LATEST_S).any():
-        raise ImportFailure("times beyond all calendars: they are not in seconds")
+        raise ImportFailure("invalid times: not in seconds")
     passed_s = times_s[later] - times_s[later[:1]]
     chosen = later[(from_s <= passed_s) & (passed_s <= to_s)]
     if not chosen.size:
@@ -73,7 +74,8 @@ def ticks(times_s: Array, from_s: float, to_s: float, tally: Tally) -> Ticks:
     count = math.ceil((there_s[-1] + TICK_S / 2.0 - there_s[0] - _ROUNDING_S) / TICK_S)
     if count > MAX_TICK:
         raise ImportFailure(
-            f"a drive of {count * TICK_S / 86400.0:.3g} days: its times are not in seconds"
+            f"invalid times: a drive of {count * TICK_S / 86400.0:.3g} days; times must be in "
+            "seconds"
         )
     due_s = there_s[0] + TICK_S * np.arange(count)
     nearest = np.searchsorted((there_s[1:] + there_s[:-1]) / 2.0, due_s + _ROUNDING_S, side="right")
@@ -86,12 +88,12 @@ def ticks(times_s: Array, from_s: float, to_s: float, tally: Tally) -> Ticks:
 
 
 class Moves:
-    """The way of the robot by its motion: a sample holds until the next, at most `HOLD_S`."""
+    """Movement of the robot from its motion: a sample holds until the next, at most `HOLD_S`."""
 
     def __init__(self, motion: Array) -> None:
         ends_s = motion[:, 0] + HOLD_S
         silent = np.append(motion[1:, 0], np.inf) > ends_s
-        # Without a next sample in time the robot stands: a row of its own, marked in the last column.
+        # Without a next sample in time the robot stands: a separate row, marked in the last column.
         stops = np.column_stack([ends_s, np.zeros((len(motion), 2)), np.ones(len(motion))])[silent]
         rows = np.concatenate([np.column_stack([motion, np.zeros(len(motion))]), stops])
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
@@ -101,18 +103,18 @@ class Moves:
         self._sums = np.concatenate([np.zeros((1, 2)), np.cumsum(gone, axis=0)])
 
     def until(self, times_s: Array) -> Array:
-        """Return the way and the turn until each time, (n, 2)."""
+        """Return the distance and the turn until each time, (n, 2)."""
         if not self._times_s.size:
             return np.zeros((times_s.size, 2))
         return np.stack([np.interp(times_s, self._times_s, sums) for sums in self._sums.T], axis=1)
 
     def velocities(self, times_s: Array) -> Array:
-        """Return the mean velocities, linear and angular, over the tick that begins at each time, (n, 2)."""
+        """Return the mean velocities (linear, angular) over the tick from each time, (n, 2)."""
         mean: Array = (self.until(times_s + TICK_S) - self.until(times_s)) / TICK_S
         return mean
 
     def silent(self, times_s: Array) -> int:
-        """Count the ticks without any velocity, in which the robot is taken to stand."""
+        """Count the ticks without a velocity, which count as standing."""
         first, last = (
             np.searchsorted(self._times_s, at_s) - 1
             for at_s in (times_s + _ROUNDING_S, times_s + TICK_S)
@@ -121,7 +123,7 @@ class Moves:
         return int((stands[first] & (first == last)).sum())
 
     def way(self, times_s: Array) -> Array:
-        """Add the velocities up by dead reckoning: poses (n, 3) at times, beginning at (0, 0, 0)."""
+        """Integrate the velocities by dead reckoning: poses (n, 3) at times, from (0, 0, 0)."""
         inside = self._times_s[(self._times_s > times_s[0]) & (self._times_s < times_s[-1])]
         grid = np.union1d(times_s, inside)
         gone, turned = self.until(grid).T
@@ -135,10 +137,11 @@ class Moves:
 def odometry(
     drive: ImportedDrive, times_s: Array, moves: Moves | None
 ) -> tuple[Array, NDArray[np.bool_]] | None:
-    """Give the pose at the times of ticks, (n, 3), as seen from the first one, and whether it is known, (n,).
+    """Return the poses at times of ticks, (n, 3), relative to the first, and their validity.
 
-    It is by the drive's track, and not known further than `HOLD_S` from its samples; where there is none it is reckoned
-    from the moves, if there are some. A track that jumps, or leads nowhere, is an `ImportFailure`.
+    Poses come from the drive's track and are unknown further than `HOLD_S` from its samples.
+    Without a track they are computed from the motion, if any. Raises ImportFailure if the track
+    jumps or leaves the plausible area.
     """
     if drive.track.size:
         poses, known = _tracked(drive.track, times_s)
@@ -159,7 +162,9 @@ def odometry(
     else:
         return None
     if float(np.abs(poses[known, :2]).max()) > _FURTHEST_M:
-        raise ImportFailure(f"drive {drive.name}: goes further than {_FURTHEST_M / 1000.0:.0f} km")
+        raise ImportFailure(
+            f"drive {drive.name}: odometry too large (more than {_FURTHEST_M / 1000.0:.0f} km)"
+        )
     return poses, known
 
 
@@ -179,18 +184,19 @@ class Nominal(NamedTuple):
 
 
 def nominal(velocities: Array, quantile: float = QUANTILE) -> Nominal:
-    """Measure the speeds on the samples of all drives, (n, 2); ImportFailure if no robot moves."""
+    """Measure the speeds on the samples of all drives, (n, 2); raise ImportFailure without movement."""
     linear, angular = np.abs(velocities).T
     driving = linear[linear > _LEAST_LINEAR]
     turning = angular[angular > _LEAST_ANGULAR]
     if not driving.size:
         raise ImportFailure(
-            "the robot never drives: no velocity above 0.02; are its units metres a second?"
+            "the robot never drives: all velocities are below 0.02; check that they are in "
+            "metres per second"
         )
     fast = float(np.quantile(turning, quantile)) if turning.size else _LEAST_ANGULAR
     return Nominal(float(np.quantile(driving, quantile)), fast)
 
 
 def shares_of(velocities: Array, usual: Nominal) -> list[Velocity]:
-    """Return velocities (n, 2) as shares of the usual ones."""
+    """Return velocities (n, 2) as fractions of the nominal velocities."""
     return [Velocity(*share) for share in np.clip(velocities / usual, -1.0, 1.0).round(6).tolist()]

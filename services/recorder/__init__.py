@@ -1,1 +1,1 @@
-"""Write every message of an episode to a crash-safe MCAP file."""
+"""Recorder: writes every message of an episode to a crash-safe MCAP file."""

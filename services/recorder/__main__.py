@@ -6,7 +6,7 @@ from services.recorder.service import RecorderService, RecorderSettings
 
 
 def serve(node: Node, settings: RecorderSettings) -> None:
-    """Record until stopped; then finish every file."""
+    """Record until stopped, then complete every file."""
     recorder = RecorderService(node, settings.root, settings.recordings)
     try:
         node.spin()

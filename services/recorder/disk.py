@@ -1,4 +1,4 @@
-"""Watch the free space for recordings: warn in time, and stop while there is room to seal."""
+"""Supervision of free disk space: warns in time, and stops while a recording can still be sealed."""
 
 import errno
 import math
@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Final
 
 LOOK_S: Final = 1.0  # Period of the checks.
-_RATE_S: Final = 10.0  # Time over which the rate of writing is measured.
-_KNOWN_S: Final = 3.0  # Least of that time.
+_RATE_S: Final = 10.0  # Window for the rate of writing.
+_KNOWN_S: Final = 3.0  # Minimum of that window.
 #: The driver is warned at this remaining time: enough to finish, or to make room.
 WARN_S: Final = 600.0
 #: Recording ends at this remaining time: other programs write to the disk as well.
 _CLOSE_S: Final = 10.0
-#: Free space that is kept for sealing: the largest image has 16 MB, the index of a day 28 MB.
+#: Free space reserved for sealing: the largest image has 16 MB, the index of a day 28 MB.
 LEAST_BYTES: Final = 64 * 2**20
 
 
@@ -29,8 +29,8 @@ class Disk:
     ) -> None:
         self._clock = clock
         self._free = free
-        self._written: deque[tuple[float, int]] = deque()  # When how many bytes had been written.
-        #: Warning for the driver, in one line; None if there is enough room.
+        self._written: deque[tuple[float, int]] = deque()  # Pairs of time and total written bytes.
+        #: Warning for the driver, in one line; None if there is enough space.
         self.warning: str | None = None
 
     def check_room(self, folder: Path) -> None:
@@ -40,7 +40,7 @@ class Disk:
             raise OSError(errno.ENOSPC, self.warning)
 
     def look(self, folder: Path, written: int) -> bool:
-        """Whether there is room after so many written bytes; OSError if the folder is gone."""
+        """Return whether there is space after this number of written bytes."""
         now_s = self._clock()
         self._written.append((now_s, written))
         while now_s - self._written[0][0] > _RATE_S:
@@ -54,7 +54,7 @@ class Disk:
         left_s = room / rate if rate > 0.0 else math.inf
         self.warning = None
         if room <= 0 or left_s <= _CLOSE_S:
-            self.warning = f"the disk is full ({free / 1e6:.0f} MB are free): no more is recorded"
+            self.warning = f"disk full ({free / 1e6:.0f} MB free); recording stopped"
             return False
         if left_s < WARN_S:
             left = (
@@ -62,5 +62,5 @@ class Disk:
                 if left_s >= 120.0
                 else f"{10 * (left_s // 10):.0f} seconds"
             )
-            self.warning = f"the disk has room for {left} more"
+            self.warning = f"disk almost full: space for {left} of recording"
         return True

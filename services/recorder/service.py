@@ -1,4 +1,4 @@
-"""The recorder on the bus: it writes one file an episode."""
+"""Recorder on the bus: writes one file per episode."""
 
 import math
 import time
@@ -26,36 +26,37 @@ from services.recordings.writer import EpisodeWriter
 #: Queue length for a slow disk, as a multiple of the replayed messages after an outage.
 QUEUE_FACTOR: Final = 2
 #: The file of an episode stays open after its end for late messages: for ``QUIET_S`` without a
-#: message if no tick is missing, else for ``GRACE_S``.
+#: message if all ticks are complete, else for ``GRACE_S``.
 QUIET_S: Final = 0.2
 GRACE_S: Final = 1.0
-#: Topics are ordered, but not among each other: messages wait so long for the beginning of their
-#: episode, within these bounds. JPEG of half a megabyte at 10 Hz are 25 MB in that time. A slow
+#: Topics are ordered only within themselves. Messages wait this long for the start of their
+#: episode, within these limits. JPEG of half a megabyte at 10 Hz are 25 MB in that time. A slow
 #: machine receives replayed messages repeatedly: 16 topics of 300 messages in a test of 40 frames.
 EARLY_S: Final = 5.0
 _EARLY_QUEUE: Final = 1 << 15
 _EARLY_BYTES: Final = 64 << 20
-_SETTLE_S: Final = 10.0  # How long `flush` and `stop` wait for that.
+_SETTLE_S: Final = 10.0  # Timeout of `flush` and `stop` for that.
 SEAL_PERIOD_S: Final = 0.05
 
 
 class RecorderSettings(RootSettings):
-    """Where to record."""
+    """Settings of the recorder."""
 
     recordings: Path | None = None
-    """Folder, wherever it is, to record every episode in from the start; without it, recording waits for the call
-    ``start``, which names one below the root."""
+    """Folder, at any place, to record every episode in from the start; without it, recording waits for
+    the call ``start`` with a folder below the root."""
 
 
 @dataclass
 class _Recording:
-    """An episode being recorded; without a writer its messages are lost."""
+    """An episode being recorded; without a writer its messages are dropped."""
 
     writer: EpisodeWriter | None
     touched_s: float
-    not_before_s: float = 0.0  # Until then senders may replay what a killed recorder missed.
+    # Until then senders can replay messages that a killed recorder missed.
+    not_before_s: float = 0.0
     closing: bool = False
-    deadline_s: float = math.inf  # Of an episode whose end was not received.
+    deadline_s: float = math.inf  # For an episode whose end was not received.
 
     def complete(self, now_s: float) -> bool:
         """Whether no more messages are expected."""
@@ -75,8 +76,8 @@ class _Recording:
 class RecorderService:
     """Records episodes, each from its ``started`` to its ``ended``.
 
-    It records in a folder from the start (ServiceError when that cannot be used), or else waits for the call ``start``,
-    which names one below the root.
+    The recorder starts with a folder (ServiceError if unusable), or waits for the call ``start``
+    with a folder below the root.
     """
 
     def __init__(
@@ -125,12 +126,12 @@ class RecorderService:
     # -- calls ----------------------------------------------------------------------------------------------------
 
     def start(self, request: RecordRequest) -> None:
-        """Record the episodes that begin from now on; a running one stays in its file."""
+        """Record the episodes that start from now on; a running episode stays in its file."""
         try:
             self._record_in(below(self._root, request.folder))
         except OSError as error:
             self._node.log.warning("cannot record in %r: %s", request.folder, error)
-            # The reason would reveal which other files exist.
+            # The reason can reveal which other files exist.
             named = printable(request.folder)
             raise ServiceError(
                 f"cannot record in {named!r} below the root of the recorder"
@@ -141,7 +142,7 @@ class RecorderService:
         return self._settled(self._folder)
 
     def stop(self, _request: Nothing) -> RecordReply:
-        """Finish every file, also of a running episode, and stop recording."""
+        """Complete every file, also of a running episode, and stop recording."""
         folder = self._folder
         self._folder = None
         self._cut = set()
@@ -149,14 +150,14 @@ class RecorderService:
         return self._settled(folder)
 
     def close(self) -> None:
-        """Finish every file at once; the process ends."""
+        """Complete every file at once; the process ends."""
         self._folder = None
         for episode in list(self._open):
             self._seal(episode)
 
     def _record_in(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        # The rest of such an episode becomes a recording of its own.
+        # The rest of such an episode becomes a separate recording.
         self._cut = {one.episode for one in self._seal_leftovers(folder) if not one.ended}
         self._began_s = self._clock()
         self._folder = folder.resolve()
@@ -166,7 +167,7 @@ class RecorderService:
         self._node.log.info("recording in %s", self._folder)
 
     def _seal_leftovers(self, folder: Path) -> list[Sealed]:
-        """Seal the files of a killed recorder, and those that had no room to be sealed."""
+        """Seal the files of a killed recorder, and files that had no space for sealing."""
         partials = leftovers(folder) - self._given_up
         return [sealed for sealed in map(self._seal_leftover, partials) if sealed is not None]
 
@@ -175,22 +176,22 @@ class RecorderService:
             sealed = seal_leftover(partial)
         except LeftoverError as error:
             self._given_up.add(partial)
-            self._node.log.warning("%s stays as it is: %s", partial, error)
+            self._node.log.warning("%s unchanged: %s", partial, error)
             return None
         except BlockingIOError:
-            return None  # Its recorder lives.
+            return None  # Its recorder is running.
         except OSError as error:
             why = error.strerror or error
-            self._complain(f"cannot seal {partial}: {why}; tried again with the next episode")
+            self._complain(f"cannot seal {partial}: {why}; retry at the next episode")
             return None
         done = f"removed {partial}" if sealed.path is None else f"sealed {sealed.path}"
-        self._node.log.info("%s, which was left behind", done)
+        self._node.log.info("%s, left by a killed recorder", done)
         renamed = (sealed.path if file == partial else file for file in self._files)
         self._files = [file for file in renamed if file is not None]
         return sealed
 
     def _settled(self, folder: Path | None) -> RecordReply:
-        """Record until the grace of every ended episode is over, and cut ones are replayed."""
+        """Record until every ended episode is past its grace time, and cut episodes are replayed."""
 
         def is_settled() -> bool:
             replayed = not self._cut or self._clock() - self._began_s > EARLY_S
@@ -224,7 +225,7 @@ class RecorderService:
             self._lost += self._early.dropped.total() - lost
 
     def _write_early(self, recording: _Recording, episode: str) -> None:
-        """Record the messages that came before the beginning of an episode."""
+        """Record the messages that arrived before the start of their episode."""
         for _ in range(self._early.waiting()["early"]):
             item = self._early.take(0.0)
             assert item is not None  # noqa: S101 - one thread puts and takes
@@ -241,7 +242,7 @@ class RecorderService:
             episode for episode, recording in self._open.items() if recording.complete(now_s)
         ]:
             self._seal(episode)
-        # On a slow machine the beginning may still wait in the queue.
+        # On a slow machine the start can still wait in the queue.
         while self._node.idle() and self._early.oldest_s() > EARLY_S:
             self._early.take(0.0)
 
@@ -258,13 +259,13 @@ class RecorderService:
                 return
             for recording in self._open.values():
                 if recording.writer is not None:
-                    self._complain(f"{self._disk.warning}; what was before is sealed")
+                    self._complain(f"{self._disk.warning}; earlier messages are sealed")
                     self._finish(recording)
 
     def _is_recorded(self, episode: str, folder: Path) -> bool:
-        """Whether there is a recording of a whole episode: what is replayed of it is in that.
+        """Return whether a recording holds a complete episode with all its replayed messages.
 
-        A recorder that was ended amid an episode has sealed the beginning.
+        If a recorder stopped during an episode, it has sealed the first part.
         """
         path = folder / f"{episode}.mcap"
         if episode in self._cut or not path.exists():
@@ -276,7 +277,7 @@ class RecorderService:
     def _begin(self, started: Episode, folder: Path) -> None:
         if started.episode in self._open or self._is_recorded(started.episode, folder):
             return
-        # A robot runs one episode at a time: the end of the last episode was lost.
+        # A robot runs one episode at a time: the end of the previous episode was lost.
         self._close_all()
         self._seal_leftovers(folder)
         writer = None
@@ -301,7 +302,7 @@ class RecorderService:
         try:
             write()
         except OSError as error:
-            self._disk.warning = f"{error.strerror or error}: no more is recorded"
+            self._disk.warning = f"{error.strerror or error}: recording stopped"
             self._finish(recording)
 
     def _close_all(self) -> None:
@@ -322,12 +323,10 @@ class RecorderService:
             return
         path = writer.seal()
         if path != writer.path:
-            self._complain(
-                f"cannot seal {path}: {writer.problem}; tried again with the next episode"
-            )
+            self._complain(f"cannot seal {path}: {writer.problem}; retry at the next episode")
         self._lost += writer.waiting
         self._files.append(path)
-        # A new object: `detail` may be adding up the old one.
+        # A new object, because `detail` can be summing up the old one.
         self._sealed = self._sealed + _figures(writer)
         gaps = "; ".join(
             f"{topic} lacks frames {ticks}" for topic, ticks in writer.ledger.gaps().items()
@@ -343,7 +342,7 @@ class RecorderService:
     # -- health ---------------------------------------------------------------------------------------------------
 
     def _figures(self) -> Counter[str]:
-        # A thread of the bus calls this, too: list() copies the open recordings at once.
+        # Called on a thread of the bus, too: list() copies the open recordings at once.
         writers = [recording.writer for recording in list(self._open.values())]
         return sum((_figures(writer) for writer in writers if writer is not None), self._sealed)
 
@@ -366,7 +365,7 @@ class RecorderService:
 
 
 def _has_end(path: Path) -> bool:
-    """Whether a recording holds the end of its episode; an unreadable one counts as whole."""
+    """Return whether a recording holds the end of its episode; an unreadable file counts as complete."""
     events = (one.event for one in _events_in(path))
     with suppress(RecordingError):
         return "ended" in events

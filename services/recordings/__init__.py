@@ -1,1 +1,1 @@
-"""Recordings of episodes: format, writing, reading, recovery, and the demonstrations in them."""
+"""Recordings of episodes: format, writing, reading, repair, and demonstrations."""

@@ -1,4 +1,4 @@
-"""Summarise the contents and the defects of a recording."""
+"""Summary of the contents and defects of a recording."""
 
 import math
 from collections import Counter, defaultdict
@@ -53,14 +53,14 @@ class Counted:
 
     @property
     def rate_hz(self) -> float | None:
-        """Mean rate; None if all messages have one stamp."""
+        """Mean rate; None if all messages have the same stamp."""
         elapsed_ns = self.last_ns - self.first_ns
         return (self.messages - 1) * 1e9 / elapsed_ns if elapsed_ns > 0 else None
 
 
 @dataclass
 class EpisodeContents:
-    """One episode; None stands for what was not recorded."""
+    """One episode; None stands for unrecorded values."""
 
     robot: str
     episode: str
@@ -74,7 +74,7 @@ class EpisodeContents:
     width: int | None = None
     height: int | None = None
     field_of_view_deg: float | None = None
-    odometry_m: float | None = None  # Way by the wheels.
+    odometry_m: float | None = None  # Length of the route by odometry.
 
     @property
     def frames(self) -> int:
@@ -107,12 +107,12 @@ class Contents:
 
     @property
     def findings(self) -> list[str]:
-        """All defects."""
+        """All defects, one per line."""
         return [*self.damage, *self.lacks]
 
 
 def verify(path: Path) -> Contents:
-    """Check every checksum, message and tick of a recording; raises as `contents_of`."""
+    """Check every checksum, message and tick of a recording; raise errors as `contents_of` does."""
     return contents_of(path, thorough=True)
 
 
@@ -122,13 +122,13 @@ def contents_of(path: Path, *, thorough: bool = False) -> Contents:
     Raises
     ------
     RecordingError
-        If the file is no recording, or unpacks to too much.
+        If the file is not a recording, or unpacks to too much memory.
     """
     data = open_recording(path, living=True)
     contents = Contents(path, _state_of(path, data), len(data))
     if contents.state != "sealed":
         left = path.suffix == PARTIAL_SUFFIX
-        why = "left behind" if left else "its end, with the index, is missing or damaged"
+        why = "left behind" if left else "end with the index is missing or damaged"
         contents.damage.append(f"{contents.state}: {why}")
     episodes: dict[tuple[str, str], _Reading] = {}
     for topic, stored in _episode_messages(contents, data):
@@ -141,7 +141,7 @@ def contents_of(path: Path, *, thorough: bool = False) -> Contents:
         for reading in episodes.values():
             reading.conclude(contents)
         if not episodes:
-            contents.lacks.append("holds no episode")
+            contents.lacks.append("no episode")
     return contents
 
 
@@ -197,7 +197,7 @@ class _Reading:
         try:
             message = stored.message(pixels=self._thorough)
             if (message.tick, message.stamp_ns) != (stored.tick, stored.stamp_ns):
-                raise ValueError("its tick or time is another than its record's")
+                raise ValueError("tick or time differs from its record")
         except ValueError as error:
             self._bad[topic.name].append(f"tick {stored.tick}: {printable(str(error))}")
         else:
@@ -206,7 +206,7 @@ class _Reading:
                 self._twice[topic.name].append(stored.tick)
 
     def _is_needed(self, topic: Topic) -> bool:
-        """Whether a message describes the episode as a whole; the first image is enough."""
+        """Return whether a message describes the episode as a whole; the first image is enough."""
         if topic is JPEG:
             return self.episode.width is None
         return issubclass(topic.message, Episode | CommandApplied | CameraInfo | Odometry)
@@ -238,7 +238,7 @@ class _Reading:
     def summed_up(self) -> EpisodeContents:
         self.episode.drove = dict(Counter(driver for _, driver in self._drivers.values()))
         if self._places:
-            # After an outage a pose may have come late.
+            # After an outage a pose can be late.
             way = [self._places[tick] for tick in sorted(self._places)]
             self.episode.odometry_m = sum(starmap(math.dist, pairwise(way)), 0.0)
         return self.episode
@@ -248,16 +248,16 @@ class _Reading:
         for topic, bad in self._bad.items():
             count = self.episode.topics[topic].messages
             contents.damage.append(
-                f"{name}: {topic}: {len(bad)} of {count} do not decode: {bad[0]}"
+                f"{name}: {topic}: {len(bad)} of {count} cannot be decoded: {bad[0]}"
             )
         for topic, twice in self._twice.items():
             contents.damage.append(
-                f"{name}: {topic}: {len(twice)} are there twice, the first of tick {twice[0]}"
+                f"{name}: {topic}: {len(twice)} duplicates, the first at tick {twice[0]}"
             )
         if not self._began:
-            contents.lacks.append(f"{name}: its beginning was not recorded")
+            contents.lacks.append(f"{name}: start not recorded")
         if self._end is None:
-            contents.lacks.append(f"{name}: its end was not recorded")
+            contents.lacks.append(f"{name}: end not recorded")
         else:
             self._ledger.close(self._end)
         contents.lacks += [

@@ -1,4 +1,4 @@
-"""Demonstrations from recordings: which episodes teach, and their frames; never true poses."""
+"""Demonstrations from recordings: usable episodes and their frames, never true poses."""
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -22,46 +22,47 @@ from smal.features.extraction import check_image, in_parallel
 from smal.movement import Atom
 from smal.teaching.demonstration import Demonstration, Made, described
 
-#: Ratio of two images' shapes from which they show different views: 1 % is a row in a hundred.
+#: Ratio of two aspect ratios above which images show different views: 1 % is one row in a hundred.
 _OTHER_SHAPE: Final = 1.01
 Size = tuple[int, int]  # Width and height of an image, pixels.
 
 
 @dataclass
 class Teaching:
-    """What a set of recordings teaches."""
+    """Demonstrations of a set of recordings."""
 
-    demonstrations: list[Demonstration] = field(default_factory=list)  # Of each piece without gaps.
-    recordings: int = 0  # Files that were read.
-    episodes: int = 0  # Episodes that are used.
-    remarks: list[str] = field(default_factory=list)  # What is left out or damaged, a line each.
+    # One for each stretch without gaps.
+    demonstrations: list[Demonstration] = field(default_factory=list)
+    recordings: int = 0  # Number of read files.
+    episodes: int = 0  # Number of used episodes.
+    remarks: list[str] = field(default_factory=list)  # Omissions and damage, one per line.
 
 
 class _LeftOut(Exception):  # noqa: N818 - it is caught and reported, one episode of many
-    """An episode does not teach; the text is the reason."""
+    """Raised when an episode does not teach; the text is the reason."""
 
 
 class Teacher:
-    """Collects the demonstrations of recordings, one file after the other.
+    """Collects the demonstrations of recordings, file by file.
 
     Parameters
     ----------
     features
-        Features of the demonstrations, computed from an image when they are asked for.
+        Features of the demonstrations, computed from an image on demand.
     shortest
-        Fewest frames of a piece without gaps.
+        Minimum number of frames of a stretch without gaps.
     include_runs
         Whether successful runs of the robot by itself teach.
     episodes
         Episodes to read; all if empty.
     taught
-        Size of the images of the model that learns more; the first image's if not given. Images of
-        another size are resized, images of another shape are left out.
+        Image size of the model to extend, by default the size of the first image. Images of another
+        size are resized; images of another aspect ratio are left out.
 
     Raises
     ------
     UsageError
-        If the features need depth images, which recordings do not hold.
+        If the features need depth images, which recordings do not contain.
     """
 
     def __init__(
@@ -75,7 +76,7 @@ class Teacher:
     ) -> None:
         if "depth" in features.needs:
             names = ",".join(features.modalities)
-            raise UsageError(f"features {names}: recordings hold no depth images; omit depth")
+            raise UsageError(f"features {names}: recordings contain no depth images; omit depth")
         self.teaching = Teaching()
         #: Each size of images, with the first episode that has it.
         self._sizes: dict[Size, str] = {} if taught is None else {taught: "the model"}
@@ -89,7 +90,7 @@ class Teacher:
     def read_all(
         self, paths: Sequence[Path], advance: Callable[[str, int, int], object]
     ) -> Teaching:
-        """Read files, reporting each by ``advance``, and return what all of them teach."""
+        """Read files, report each by ``advance``, and return all demonstrations."""
         for number, path in enumerate(paths):
             advance("reading", number, len(paths))
             self.read(path)
@@ -97,7 +98,7 @@ class Teacher:
         return self.teaching
 
     def read(self, path: Path) -> None:
-        """Take what a file teaches; a defect becomes a remark, never an exception."""
+        """Add the demonstrations of a file; a defect becomes a remark, never an exception."""
         free = self._allowance.left
         taught = len(self.teaching.demonstrations)
         try:
@@ -123,7 +124,7 @@ class Teacher:
             self._check_images(here, episode)
             pieces = self._pieces(here, episode)
         except _LeftOut as reason:
-            self._remark(f"{here} is left out: {reason}")
+            self._remark(f"{here} left out: {reason}")
             return
         self.teaching.episodes += 1
         for ticks in pieces:
@@ -138,7 +139,7 @@ class Teacher:
         if other != path:
             first, second = sorted((other, path), key=lambda one: len(one.name))
             join = f"; {_joined(first, second)}" if first == first_of(second) else ""
-            raise _LeftOut(f"it is in {other} too{join}")
+            raise _LeftOut(f"already in {other}{join}")
 
     def _check_images(self, here: str, episode: RecordedEpisode) -> None:
         """Delete the damaged images of an episode, and check the size of the others."""
@@ -153,35 +154,35 @@ class Teacher:
         for tick in damaged:
             del episode.images[tick]
         if damaged:
-            self._remark(f"{here}: {len(damaged)} damaged images are left out")
+            self._remark(f"{here}: {len(damaged)} damaged images left out")
         size = next(filter(None, sizes.values()), None)
         if size is not None:
             self._check_size(here, size)
 
     def _check_size(self, here: str, size: Size) -> None:
-        """Check that images can be compared with those before; a new size becomes a remark."""
+        """Check that images are comparable with earlier images; a new size becomes a remark."""
         if size in self._sizes or not self._sizes:
             self._sizes.setdefault(size, here)
             return
         other, where = next(iter(self._sizes.items()))
-        sizes = f"images of {size[0]}x{size[1]}, and {where} has {other[0]}x{other[1]}"
+        sizes = f"images of {size[0]}x{size[1]} differ from {other[0]}x{other[1]} in {where}"
         ratio = size[0] * other[1] / (size[1] * other[0])
         if not 1.0 / _OTHER_SHAPE <= ratio <= _OTHER_SHAPE:
-            raise _LeftOut(f"{sizes}: another shape shows another view")
+            raise _LeftOut(f"{sizes}: another aspect ratio shows another view")
         self._sizes[size] = here
         self._remark(f"{here}: {sizes}; all are resized")
 
     def _pieces(self, here: str, episode: RecordedEpisode) -> list[NDArray[np.int64]]:
-        """Return the ticks of the pieces that are long enough."""
+        """Return the ticks of each stretch that is long enough."""
         pieces = [ticks for ticks in episode.pieces() if ticks.size >= self._shortest]
         if not pieces:
-            raise _LeftOut(f"no {self._shortest} successive frames")
+            raise _LeftOut(f"fewer than {self._shortest} successive frames")
         # The last frame is not counted: unless the target was found, no movement follows it.
         lost = set(episode.images).difference(
             *map(np.ndarray.tolist, pieces), [max(episode.images)]
         )
         if lost:
-            self._remark(f"{here}: {len(lost)} frames beside gaps are left out")
+            self._remark(f"{here}: {len(lost)} frames beside gaps left out")
         return pieces
 
     def _remark(self, text: str) -> None:
@@ -189,26 +190,26 @@ class Teacher:
 
 
 def _joined(first: Path, second: Path) -> str:
-    """Return how the two recordings of an episode whose recorder was killed become one."""
-    return f"smal recording repair {first} {second} --out FILE joins them"
+    """Return the command that merges the two recordings of an episode after a crash."""
+    return f"smal recording repair {first} {second} --out FILE merges them"
 
 
 def unusable(episode: RecordedEpisode, *, include_runs: bool) -> str | None:
-    """Return why an episode must not teach, or None; one without an end teaches no goal."""
+    """Return why an episode must not teach, or None; an episode without an end teaches no goal."""
     if episode.purpose == "run" and not include_runs:
-        return "the robot drove by itself (--include-runs takes such runs if they found the victim)"
+        return "the robot drove by itself (--include-runs takes successful runs)"
     if episode.purpose == "run" and episode.outcome != "found":
-        ended = episode.outcome or "its end was not recorded"
-        return f"the robot drove by itself and did not find the victim ({ended})"
+        ended = episode.outcome or "end not recorded"
+        return f"the robot drove by itself without success ({ended})"
     if episode.outcome == "collision":
-        return "it ended in a collision"
+        return "collision"
     if episode.purpose == "drive" and episode.outcome in ("timeout", "aborted"):
-        return f"it did not reach the victim ({episode.outcome})"
+        return f"victim not reached ({episode.outcome})"
     return None
 
 
 def _size_of(payload: memoryview) -> Size | None:
-    """Return the size of a recorded image; None if no features can be made of it."""
+    """Return the size of a recorded image; None if it is unusable for features."""
     try:
         image = decode_image(copied(payload))
         check_image(image)
@@ -246,7 +247,7 @@ def recorded_images(
     episode: str,
     decode: Callable[[bytes], NDArray[np.uint8]] = decode_image,
 ) -> Made:
-    """Return recorded images, decoded when asked for; ValueError names a damaged one's episode."""
+    """Return recorded images, decoded on demand; ValueError names a damaged episode."""
     return Made(len(recorded), lambda frame: partial(_decoded, decode, recorded[frame], episode))
 
 
@@ -260,17 +261,17 @@ def _decoded(
 
 
 def find_recordings(paths: Iterable[Path]) -> list[Path]:
-    """Return the recordings among files and in folders, unfinished ones too, each file once.
+    """Return the recordings among files and in folders, unfinished files too, each file once.
 
     Raises
     ------
     UsageError
-        If a path does not exist, or a folder holds no recording.
+        If a path does not exist, or a folder contains no recording.
     """
     found: dict[object, Path] = {}
     for path in paths:
         if not path.exists():
-            raise UsageError(f"{path}: no such file or folder")
+            raise UsageError(f"{path}: not found")
         here = [path]
         if path.is_dir():
             here = sorted(p for p in path.iterdir() if p.name.endswith((".mcap", ".mcap.partial")))
@@ -282,7 +283,7 @@ def find_recordings(paths: Iterable[Path]) -> list[Path]:
 
 
 def _identity(path: Path) -> object:
-    """Return what all names of a file share, links included; a dangling link is its own name."""
+    """Return an identity common to all names of a file, links included; a broken link is unique."""
     try:
         told = path.stat()
     except OSError:

@@ -1,7 +1,7 @@
-"""Messages in an MCAP file: images as JPEG for every viewer, the rest as JSON with its schema.
+"""Messages in an MCAP file: images as JPEG for every viewer, other messages as JSON with a schema.
 
-The topic is the message's Zenoh key. The channel's metadata names robot and episode, so that episodes stay apart when
-recordings are merged, and the record's sequence number is the tick.
+The topic is the message's Zenoh key. The channel's metadata contain robot and episode, so that
+episodes stay separate in merged recordings. The record's sequence number is the tick.
 """
 
 import json
@@ -59,17 +59,17 @@ def payload_of(message: Message) -> bytes:
 
 
 def timestamp(stamp_ns: int) -> Timestamp:
-    """Return a stamp as protobuf has it."""
+    """Convert a stamp to protobuf."""
     return Timestamp(seconds=stamp_ns // 1_000_000_000, nanos=stamp_ns % 1_000_000_000)
 
 
 def decode_image(payload: bytes) -> NDArray[np.uint8]:
-    """Return the RGB pixels (height, width, 3) of a recorded image; ValueError if it is none."""
+    """Return the RGB pixels (height, width, 3) of a recorded image; raise ValueError if it is invalid."""
     return decode_jpeg(stamped_jpeg(payload)[1])
 
 
 def stamped_jpeg(payload: bytes) -> tuple[int, bytes]:
-    """Return the stamp of an image in nanoseconds, and its JPEG; ValueError if it is none."""
+    """Return the stamp (ns) and the JPEG of an image; raise ValueError if it is invalid."""
     try:
         image = foxglove.CompressedImage.FromString(payload)
     except ProtobufDecodeError:
@@ -79,7 +79,7 @@ def stamped_jpeg(payload: bytes) -> tuple[int, bytes]:
 
 @cache
 def protobuf_format(message: type[ProtobufMessage]) -> ChannelFormat:
-    """Return the encoding of a protobuf class, with its descriptor and those that it imports."""
+    """Return the encoding of a protobuf class, with its descriptor and imports."""
     files: dict[str, FileDescriptor] = {}
 
     def collect(file: FileDescriptor) -> None:
@@ -100,8 +100,8 @@ def plain_json_schema(message: type[Message]) -> dict[str, Any]:
     """Return a message's JSON Schema in the plain form that viewers read.
 
     Foxglove needs a ``type`` in every field, and supports neither ``$ref`` nor ``anyOf`` nor
-    ``prefixItems``. References are written out. A field that may be null has the type of its other
-    values, and so have the values of a tuple.
+    ``prefixItems``. References are expanded. A nullable field has the type of its other values, and
+    so do the values of a tuple.
     """
     schema = message.model_json_schema()
     definitions = schema.pop("$defs", {})

@@ -11,13 +11,14 @@ from schemas.command import Command, CommandApplied
 from schemas.episode import Episode, EventName
 from schemas.topics import APPLIED, JPEG, POSE, STATE
 
-#: Topics with a message for every tick. The last tick has no applied command, and perhaps no state.
+#: Topics with a message for every tick. The last tick has no applied command, and not always a
+#: state.
 EVERY_TICK: Final = (JPEG.name, POSE.name, STATE.name, APPLIED.name)
 TO_THE_END: Final = (JPEG.name, POSE.name)
 _EVENTS: Final = get_args(EventName)  # In their order within a tick.
 
-#: Most recorded messages of a topic within a tick: ten a second for a quarter of an hour, half a
-#: kilobyte of memory each.
+#: Maximum number of recorded messages of a topic within a tick: ten per second for a quarter of an
+#: hour, half a kilobyte of memory each.
 _MOST_PLACES: Final = 10_000
 
 
@@ -29,10 +30,10 @@ def place_of(message: Message) -> int:
 
 
 class Spans:
-    """A set of whole numbers as spans: a drive of hours without a gap is a single span."""
+    """A set of integers as spans: a drive of hours without a gap is a single span."""
 
     def __init__(self) -> None:
-        #: Ascending: the first number of a span, the first number behind it, and so on.
+        #: Ascending: the first number of a span, the first number after it, and so on.
         self._bounds = array("q")
         self.count = 0
 
@@ -42,7 +43,7 @@ class Spans:
             return False
         self.count += 1
         for bound in (number, number + 1):
-            # Two adjoining spans are one.
+            # Two adjoining spans become one.
             at = bisect_left(self._bounds, bound)
             if at < len(self._bounds) and self._bounds[at] == bound:
                 self._bounds.pop(at)
@@ -70,7 +71,7 @@ class Ledger:
         self.duplicates = 0
 
     def admit(self, message: Message) -> bool:
-        """Whether a message is new."""
+        """Return whether a message is new."""
         topic = message.topic_name
         tick = message.tick
         if not self._seen[topic, min(place_of(message), _MOST_PLACES)].add(tick):
@@ -88,7 +89,7 @@ class Ledger:
                 self._last[topic] = max(self._last[topic], end_tick)
 
     def whole(self, end_tick: int) -> bool:
-        """Whether an episode that ended at this tick is complete."""
+        """Return whether an episode that ended at this tick is complete."""
         reach = all(
             self._last[topic] >= end_tick for topic in TO_THE_END if self._ticks[topic].count
         )

@@ -1,4 +1,4 @@
-"""Seal the file of a recorder that was killed, or whose disk was full, without an index."""
+"""Sealing of a file without an index, left by a killed recorder or a full disk."""
 
 import os
 from contextlib import suppress
@@ -27,32 +27,32 @@ from services.recordings.sink import Sink, claim, finished, publish
 from services.recordings.survey import ChunkSearch
 from services.recordings.writer import GAPS_METADATA
 
-#: Bytes at the end that a power failure may have kept from the disk: their checksums are checked.
+#: Bytes at the end that a power failure can lose; their checksums are verified.
 _UNSURE: Final = 16 * 2**20
 _BEFORE_THE_END: Final = (Opcode.HEADER, Opcode.MESSAGE_INDEX, Opcode.METADATA, Opcode.CHUNK)
 
 
 class LeftoverError(JobError):
-    """A leftover cannot be sealed, and stays as it is."""
+    """Raised when a leftover cannot be sealed; the file stays unchanged."""
 
 
 class Sealed(NamedTuple):
     """The result of sealing a leftover."""
 
-    path: Path | None  # The recording; None if it held no message, and is deleted.
-    episode: str  # Its id; empty if unknown.
-    ended: bool  # Whether it holds the end of the episode.
+    path: Path | None  # The recording; None if it contained no message and is deleted.
+    episode: str  # Id of the episode; empty if unknown.
+    ended: bool  # Whether it contains the end of the episode.
 
 
 def seal_leftover(partial: Path) -> Sealed:
-    """Seal what a dead recorder left; a record that is cut off at its end is lost.
+    """Seal the file of a killed recorder; a truncated last record is lost.
 
     Raises
     ------
     LeftoverError
         If the file is not the recording of an episode, or is damaged.
     BlockingIOError
-        If its recorder lives.
+        If its recorder is running.
     OSError
         If the file cannot be opened, or the disk is full.
     """
@@ -68,7 +68,7 @@ def seal_leftover(partial: Path) -> Sealed:
     try:
         if not found.chunks:
             return Sealed(None, found.episode, ended=False)
-        end: Any = RecordBuilder()  # Without an index every reader reads it from its beginning.
+        end: Any = RecordBuilder()  # Without an index readers start at the beginning.
         DataEnd(0).write(end)
         Footer(summary_start=0, summary_offset_start=0, summary_crc=0).write(end)
         sink.write(end.end() + MAGIC)
@@ -81,7 +81,7 @@ def seal_leftover(partial: Path) -> Sealed:
 
 
 class _Look:
-    """Reads the records of a leftover: the size of the whole ones, its episode, and whether it ended."""
+    """Reads the records of a leftover: size of the complete records, episode, and whether it ended."""
 
     def __init__(self, data: memoryview) -> None:
         self._data = data
@@ -96,17 +96,17 @@ class _Look:
         with suppress(*UNREADABLE):
             whole = data[: self.size] == MAGIC and self._take_all()
         if not self.episode:
-            raise LeftoverError("it is not the recording of an episode")
-        # The last record may be cut off or zeros; earlier damage hides whole records.
+            raise LeftoverError("not the recording of an episode")
+        # The last record can be truncated or zeros; damage before it hides complete records.
         head = next(heads(data, self.size), None)
         is_last = head is None or head.end > len(data) or head.opcode in (0, Opcode.CHUNK)
         if not whole and not (
             is_last and ChunkSearch(data).next(self.size + 1, len(data)) == len(data)
         ):
-            raise LeftoverError(f"it is damaged at byte {self.size}; see smal recording repair")
+            raise LeftoverError(f"damaged at byte {self.size}; see smal recording repair")
 
     def _take_all(self) -> bool:
-        """Take whole records; return whether the end of the records was reached."""
+        """Read complete records; return whether the end of the records was reached."""
         for head in heads(self._data, self.size):
             if head.end > len(self._data):
                 return False
@@ -116,12 +116,12 @@ class _Look:
         return self.size == len(self._data)
 
     def _take(self, head: Head) -> bool:
-        """Take a record; return whether the recorder writes such records before the end."""
+        """Read a record; return whether the recorder writes such records before the end."""
         body = self._data[head.begin : head.end]
         if head.opcode == Opcode.METADATA:
             record = cast("Metadata", record_of(Opcode.METADATA, body))
             self.episode = record.metadata.get("episode", self.episode)
-            # The gaps are the first record that is written after an episode.
+            # The gaps are the first record written after an episode.
             self.ended |= record.name == GAPS_METADATA
         elif head.opcode == Opcode.CHUNK:
             is_sure = head.end <= len(self._data) - _UNSURE
@@ -131,7 +131,7 @@ class _Look:
 
     def _take_chunk(self, chunk: Chunk, *, checked: bool) -> None:
         if chunk.compression:
-            raise McapError("a chunk that no recorder of ours wrote")
+            raise McapError("chunk from another program")
         for one in inside(chunk, Bounds(len(self._data)), checked=checked):
             if isinstance(one, Channel) and topic_of(one.topic) is EPISODE:
                 self._events.add(one.id)

@@ -1,4 +1,4 @@
-"""Read recordings, also truncated ones, as episodes."""
+"""Reader of recordings, also truncated files, as episodes."""
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from services.recordings.recorded import RecordedEpisode
 from services.recordings.records import MAGIC, Allowance, mapped
 from services.recordings.stream import RecordingError, StoredMessage, messages_of
 
-USUAL: Final = (JPEG, CAMERA_INFO, ODOMETRY, POSE, APPLIED)  # For teaching, and for plots.
+USUAL: Final = (JPEG, CAMERA_INFO, ODOMETRY, POSE, APPLIED)  # For teaching and plots.
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,27 +22,30 @@ class Recording:
     """The episodes of a file."""
 
     path: Path
-    episodes: tuple[RecordedEpisode, ...]  # In order of appearance.
+    episodes: tuple[RecordedEpisode, ...]  # In the order of appearance.
     truncated: bool  # Whether the end of the file is missing.
-    bad: int  # Messages that are not what their topic says; they were left out.
+    bad: int  # Number of messages that do not match their topic; they are left out.
 
     def remarks(self) -> Iterator[str]:
         """Yield a line for each defect."""
         if self.truncated:
-            yield f"{self.path}: truncated; the {sum(one.frames for one in self.episodes)} whole frames are read"
+            yield (
+                f"{self.path}: truncated; {sum(one.frames for one in self.episodes)} "
+                "complete frames are read"
+            )
         if self.bad:
-            yield f"{self.path}: {self.bad} malformed messages are left out"
+            yield f"{self.path}: {self.bad} malformed messages left out"
 
 
 def read_recording(
     path: Path, allowance: Allowance | None = None, topics: Collection[Topic] = USUAL
 ) -> Recording:
-    """Read the episodes and some topics of a recording, sealed or left behind.
+    """Read the episodes and some topics of a recording, sealed or unfinished.
 
     Raises
     ------
     RecordingError
-        If the file cannot be read, is not an MCAP file, holds no episode or no frame, is being
+        If the file cannot be read, is not an MCAP file, contains no episode or no frame, is being
         recorded, or takes more memory than the ``allowance``.
     """
     found: dict[tuple[str, str], RecordedEpisode] = {}
@@ -59,9 +62,9 @@ def read_recording(
             bad += 1
     episodes = tuple(episode for episode in found.values() if episode.purpose is not None)
     if not episodes:
-        raise RecordingError(f"{path}: holds no episode")
+        raise RecordingError(f"{path}: no episode in this recording")
     if not any(episode.frames for episode in episodes):
-        raise RecordingError(f"{path}: holds no camera frame")
+        raise RecordingError(f"{path}: no camera frame in this recording")
     return Recording(path, episodes, mapped(path)[-len(MAGIC) :] != MAGIC, bad)
 
 
@@ -81,7 +84,7 @@ def _take(episode: RecordedEpisode, stored: StoredMessage) -> None:
                 episode.end_tick = tick
                 episode.box = message.box
         case CommandApplied():
-            # The last of a tick moved the robot to the next frame.
+            # The last command of a tick moved the robot to the next frame.
             last = episode.applied.setdefault(tick, message)
             if message.sequence > last.sequence:
                 episode.applied[tick] = message

@@ -1,4 +1,4 @@
-"""A recorded episode, its stretches without a gap, and the names of the demonstrations made of them."""
+"""A recorded episode, its stretches without a gap, and the names of its demonstrations."""
 
 import re
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from schemas.motion import Imu, Odometry, TruePose
 
 @dataclass(eq=False)
 class RecordedEpisode:
-    """One episode, everything by tick; None stands for what was not recorded."""
+    """One episode by tick; None stands for unrecorded values."""
 
     robot: str
     episode: str
@@ -28,7 +28,7 @@ class RecordedEpisode:
     outcome: Outcome | None = None
     end_tick: int | None = None
     box: Box | None = None  # The goal in the last frame.
-    #: As recorded (for ``encoding.decode_image``).
+    #: As recorded, for ``encoding.decode_image``.
     images: dict[int, memoryview] = field(default_factory=dict)
     odometry: dict[int, Odometry] = field(default_factory=dict)
     imu: dict[int, Imu] = field(default_factory=dict)
@@ -45,7 +45,8 @@ class RecordedEpisode:
     def pieces(self) -> list[NDArray[np.int64]]:
         """Return the ticks of each stretch without a gap.
 
-        Every tick of a piece has an image and a movement, and a pose by the wheels if most images have one.
+        Every tick of a stretch has an image and a movement, and a pose by odometry if most images
+        have one.
         """
         with_pose = len(self.odometry.keys() & self.images) > len(self.images) / 2
         ticks = np.array(
@@ -61,17 +62,17 @@ class RecordedEpisode:
         return [piece for piece in np.split(ticks, breaks) if piece.size]
 
     def wheels(self, tick: int) -> tuple[float, float, float]:
-        """Return x, y in metres and heading in radians by the wheels; KeyError if not recorded."""
+        """Return x, y in metres and heading in radians by odometry; raise KeyError if not recorded."""
         pose = self.odometry[tick]
         return pose.x_m, pose.y_m, pose.heading_rad
 
     def is_goal(self, tick: int) -> bool:
-        """Whether this is the last frame of an episode that ended there with ``found``."""
+        """Return whether this is the last frame of an episode that ended with ``found``."""
         ended_here = self.outcome == "found" and tick == self.end_tick
         return ended_here and tick == max(self.images)
 
     def atom(self, tick: int) -> Atom:
-        """Return the movement from this tick to the next: a stop at the goal."""
+        """Return the action from this tick to the next, or a stop at the goal."""
         return "stop" if self.is_goal(tick) else self.applied[tick].atom
 
 
@@ -81,12 +82,12 @@ def piece_name(episode: str, ticks: NDArray[np.int64]) -> str:
 
 
 def episode_of(name: str) -> str:
-    """Return the episode of a demonstration, which may be a piece of it."""
+    """Return the episode of a demonstration, which can be a piece of the episode."""
     return name.partition("[")[0]
 
 
 def ticks_of(names: Sequence[str], frames: int) -> list[int]:
-    """Return the ticks of a drive of that many frames by its pieces' names; empty if unnamed."""
+    """Return the ticks of a drive of this length by its pieces' names, or () if unnamed."""
     spans = [re.search(r"\[([0-9]{1,18})-([0-9]{1,18})\]$", name) for name in names]
     pieces = [range(int(span[1]), int(span[2]) + 1) for span in spans if span is not None]
     return [tick for piece in pieces for tick in piece] if sum(map(len, pieces)) == frames else []

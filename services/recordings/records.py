@@ -1,7 +1,7 @@
-"""Read the records of an MCAP file that may be cut off, damaged or hostile.
+"""Records of an MCAP file that can be truncated, damaged or hostile.
 
-The reader of the ``mcap`` package bounds neither what chunks unpack to nor how many records are in them, and it reads
-every image. So it decodes single records only.
+The reader of the ``mcap`` package limits neither the unpacked size of chunks nor their number of
+records, and it reads every image. So it only decodes single records.
 """
 
 import mmap
@@ -24,20 +24,21 @@ from schemas.codec import printable
 from smal.files.container import open_regular
 
 MAGIC: Final = MCAP0_MAGIC  # First and last bytes of every MCAP file.
-HEAD: Final = struct.Struct("<BQ")  # Of every record: its opcode, and the bytes that follow.
+# Start of every record: its opcode, and the number of following bytes.
+HEAD: Final = struct.Struct("<BQ")
 UNREADABLE: Final = (McapError, ValueError, struct.error)  # Raised for malformed records.
-#: Largest unpacked chunk, bytes. Other tools write chunks of a few megabytes, and at least of one
-#: message; the largest is an image of 17 MB.
+#: Largest unpacked chunk, bytes. Other programs write chunks of a few megabytes, or of one message;
+#: the largest message is an image of 17 MB.
 LARGEST_CHUNK: Final = 64 * 2**20
-#: Largest decoded record, bytes; decoding takes 15 times as much memory. The largest of ours is the
-#: list of gaps: 12 MB if every other frame of a day is missing.
+#: Largest decoded record, bytes; decoding takes 15 times as much memory. The largest of our records
+#: is the list of gaps: 12 MB if every other frame of a day is missing.
 _LARGEST_RECORD: Final = 16 * 2**20
-#: Most memory of packed recordings, bytes. 12 drives of 1024x768 unpack to 1.6 GB; our own
+#: Maximum memory of packed recordings, bytes. 12 drives of 1024x768 unpack to 1.6 GB; our own
 #: recordings are not packed, and their images stay on the disk.
 MOST_UNPACKED: Final = 4 * 2**30
 _MOST_RATIO: Final = 256  # Largest ratio of unpacked to packed size, the limit of LZ4.
-#: Least bytes of a packed record. Messages differ in time and number: those of a standing robot
-#: with an exact clock take 8.8 bytes with the strongest compression of Zstandard.
+#: Minimum size of a packed record, bytes. Messages differ in time and number: messages of a
+#: standing robot with an exact clock take 8.8 bytes with the strongest compression of Zstandard.
 _LEAST_RECORD: Final = 4
 #: Bytes of a mapped file in memory at once, and bytes that the system maps around each read.
 _RESIDENT = 16 * 2**20
@@ -51,27 +52,28 @@ _MESSAGE: Final = struct.Struct("<HIQQ")
 
 
 class MemoryLimitError(McapError):
-    """Unpacked recordings take too much memory; the text is one line."""
+    """Raised when unpacked recordings take too much memory; the text is one line."""
 
 
 class Allowance:
-    """Memory that reading may still take: an image keeps its whole unpacked chunk."""
+    """Remaining memory for reading: an image keeps its whole unpacked chunk."""
 
     def __init__(self, size: int = MOST_UNPACKED) -> None:
         self.left = size
         self._size = size
 
     def take(self, size: int) -> None:
-        """Take memory; raises MemoryLimitError when it is too much."""
+        """Take memory; raise MemoryLimitError if it exceeds the rest."""
         if size > self.left:
             raise MemoryLimitError(
-                f"takes more than {self._size / 2**30:.3g} GiB of memory, with what was read before"
+                f"too large: more than {self._size / 2**30:.3g} GiB of memory, including "
+                "earlier recordings"
             )
         self.left -= size
 
 
 class Bounds:
-    """Bytes and records that one file may still unpack to."""
+    """Remaining bytes and records that one file can unpack to."""
 
     def __init__(self, size: int, allowance: Allowance | None = None) -> None:
         self._bytes = _MOST_RATIO * size
@@ -79,10 +81,10 @@ class Bounds:
         self._allowance = allowance or Allowance()
 
     def unpack(self, chunk: Chunk) -> bytes:
-        """Unpack a chunk up to its announced size; McapError if it is too large or damaged."""
+        """Unpack a chunk up to its announced size; raise McapError if it is too large or damaged."""
         size = chunk.uncompressed_size
         if size > LARGEST_CHUNK:
-            raise McapError(f"a chunk of {size} bytes, at most {LARGEST_CHUNK} are read")
+            raise McapError(f"chunk too large ({size} bytes > maximum {LARGEST_CHUNK})")
         self._bytes -= size
         if self._bytes < 0:
             raise MemoryLimitError(f"unpacks to more than {_MOST_RATIO} times its size")
@@ -94,15 +96,17 @@ class Bounds:
                 case "lz4":
                     return bytes(LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1))
                 case other:
-                    raise McapError(f"a chunk has the unknown compression {printable(other)}")
+                    raise McapError(f"unsupported compression {printable(other)} of a chunk")
         except (ZstdError, RuntimeError, MemoryError) as error:
-            raise McapError(f"a chunk cannot be unpacked: {error}") from None
+            raise McapError(f"chunk cannot be unpacked: {error}") from None
 
     def count(self) -> None:
-        """Count a record of an unpacked chunk; McapError if there are too many."""
+        """Count a record of an unpacked chunk; raise McapError if there are too many."""
         self._records -= 1
         if self._records < 0:
-            raise McapError(f"a record for less than {_LEAST_RECORD} bytes of the file")
+            raise McapError(
+                f"too many records: one for less than {_LEAST_RECORD} bytes of the file"
+            )
 
 
 class _Mapped(mmap.mmap):
@@ -112,7 +116,7 @@ class _Mapped(mmap.mmap):
 
 
 def copied(payload: memoryview) -> bytes:
-    """Copy recorded bytes, and release the pages of the file now and then."""
+    """Copy recorded bytes, and release the pages of the file at intervals."""
     data = bytes(payload)
     _let_go(payload, len(data) + _AROUND)
     return data
@@ -129,7 +133,7 @@ def _let_go(data: memoryview, touched: int) -> None:
 
 
 def mapped(path: Path) -> memoryview:
-    """Map a file into memory; OSError if it is no regular file."""
+    """Map a file into memory; raise OSError if it is not a regular file."""
     descriptor = open_regular(path)
     try:
         empty = os.fstat(descriptor).st_size == 0
@@ -139,7 +143,7 @@ def mapped(path: Path) -> memoryview:
 
 
 def records(data: memoryview, allowance: Allowance | None = None) -> Iterator[McapRecord]:
-    """Yield the whole records, those of chunks in their place; raises ``UNREADABLE`` at damage."""
+    """Yield the complete records, with those of chunks in place; raise ``UNREADABLE`` at damage."""
     if data[: len(MAGIC)] != MAGIC:
         raise McapError("not an MCAP file")
     bounds = Bounds(len(data), allowance)
@@ -154,7 +158,7 @@ def records(data: memoryview, allowance: Allowance | None = None) -> Iterator[Mc
 
 
 class Head(NamedTuple):
-    """Opcode and bounds of a record, which may end behind the end of the file."""
+    """Opcode and bounds of a record, which can end after the end of the file."""
 
     opcode: int
     begin: int
@@ -171,13 +175,13 @@ def heads(data: memoryview, at: int) -> Iterator[Head]:
 
 
 def inside(chunk: Chunk, bounds: Bounds, *, checked: bool = False) -> Iterator[McapRecord]:
-    """Yield the whole records in a chunk; checks the checksum if packed or ``checked``."""
+    """Yield the complete records in a chunk; verify the checksum if packed or ``checked``."""
     content = memoryview(bounds.unpack(chunk) if chunk.compression else chunk.data)
     checked |= bool(chunk.compression)
     if len(content) != chunk.uncompressed_size or (
         checked and chunk.uncompressed_crc not in (0, zlib.crc32(content))
     ):
-        raise McapError("the content of a chunk is not what it says")
+        raise McapError("wrong checksum of a chunk")
     for opcode, begin, end in heads(content, 0):
         if opcode not in _IN_CHUNKS:
             raise McapError(f"a record of kind {opcode} in a chunk")
@@ -188,12 +192,12 @@ def inside(chunk: Chunk, bounds: Bounds, *, checked: bool = False) -> Iterator[M
 
 
 def chunk_of(body: memoryview) -> Chunk:
-    """Return a chunk by its head; raises as `records`."""
+    """Return a chunk by its head; raise errors as `records` does."""
     return cast("Chunk", Chunk.read(_stream_of(body)))
 
 
 def record_of(opcode: int, body: memoryview) -> McapRecord | None:
-    """Return a record that is no chunk, or None if it is not read; raises as `records`."""
+    """Return a record outside chunks, or None for an ignored kind; raise errors as `records` does."""
     if opcode == Opcode.MESSAGE:
         channel, tick, time, sent = _MESSAGE.unpack_from(body)
         data = cast("bytes", body[_MESSAGE.size :])
@@ -201,11 +205,11 @@ def record_of(opcode: int, body: memoryview) -> McapRecord | None:
             channel_id=channel, sequence=tick, log_time=time, publish_time=sent, data=data
         )
     if opcode == 0:
-        raise McapError("a record of no kind")
+        raise McapError("record of unknown kind")
     if opcode not in _KINDS:
         return None
     if len(body) > _LARGEST_RECORD:
-        raise McapError(f"a record of {len(body)} bytes, at most {_LARGEST_RECORD} are read")
+        raise McapError(f"record too large ({len(body)} bytes > maximum {_LARGEST_RECORD})")
     return cast("McapRecord", _KINDS[opcode].read(_stream_of(body)))
 
 

@@ -1,4 +1,4 @@
-"""Repair recordings that are not sealed, damaged, or in several files."""
+"""Repair of recordings that are unsealed, damaged, or in several files."""
 
 import os
 import tempfile
@@ -24,7 +24,7 @@ def usual_name(path: Path, *, replace: bool) -> Path:
 def repair(
     paths: Sequence[Path], out: Path, *, replace: bool = False
 ) -> tuple[list[Contents], Contents | None]:
-    """Write one sealed recording of all whole messages in recordings of one episode.
+    """Write one sealed recording of all complete messages in recordings of one episode.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def repair(
 
     Returns
     -------
-    The contents of the recordings, and those of ``out``: None if there is nothing to repair.
+    The contents of the recordings, and those of ``out``, or None if no repair is needed.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def repair(
         made = _written(before, Path(folder) / out.name)
         after = verify(made)
         if out.exists() and not replace:
-            raise JobError(f"{out}: is there already; give another name, or --replace")
+            raise JobError(f"{out}: already exists; choose another name, or give --replace")
         publish(made, out)
         for path in left if replace else ():
             path.unlink()
@@ -64,22 +64,22 @@ def _check_one_episode(recordings: Sequence[Contents]) -> None:
     first: EpisodeContents | None = None
     for one in recordings:
         if not one.episodes:
-            raise JobError(f"{one.path}: holds nothing of an episode to save")
+            raise JobError(f"{one.path}: no messages of an episode to save")
         if len(one.episodes) > 1:
             count = len(one.episodes)
-            raise JobError(f"{one.path}: holds {count} episodes; one can be repaired at a time")
+            raise JobError(f"{one.path}: {count} episodes; only one can be repaired at a time")
         (episode,) = one.episodes
         first = first or episode
         if (first.robot, first.episode) != (episode.robot, episode.episode):
             raise JobError(
-                f"{one.path}: is of episode {episode.episode}, "
-                f"and {recordings[0].path} of {first.episode}"
+                f"{one.path}: episode {episode.episode} differs from {first.episode} in "
+                f"{recordings[0].path}"
             )
 
 
 @contextmanager
 def _claimed(left: Sequence[Path]) -> Iterator[None]:
-    """Keep recorders away from the files that one of them left behind."""
+    """Lock the files that a recorder left behind."""
     with ExitStack() as held:
         for path in left:
             try:
@@ -98,7 +98,7 @@ def _written(before: Sequence[Contents], out: Path) -> Path:
     writer = EpisodeWriter(out.with_name(f"{out.name}{PARTIAL_SUFFIX}"), out, metadata)
     try:
         for one in before:
-            # `verify` has reported the damage; a message that does not decode is left out.
+            # `verify` has reported the damage; undecodable messages are left out.
             for stored in messages(
                 surveyed(open_recording(one.path, living=True), lambda _line: None)
             ):

@@ -1,4 +1,4 @@
-"""Replay a recorded episode: the messages of each tick, and their times."""
+"""Replay of a recorded episode: the messages of each tick, and their times."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
@@ -14,8 +14,8 @@ from services.recordings.ledger import place_of
 from services.recordings.stream import RecordingError, StoredMessage, messages_of
 from services.table import SERVICES
 
-#: What can be replayed, in the order in which a robot publishes it within a tick: of what it gives, whatever is
-#: recorded. What commands a robot is never among it.
+#: Topics that can be replayed, in the order of publication within a tick. Commands to a robot are
+#: never replayed.
 REPLAYABLE: Final = {
     topic.name: topic
     for topic in (
@@ -40,7 +40,7 @@ class Track:
 
     robot: str
     episode: str
-    bad: int = 0  # Messages so far that did not decode; they are left out.
+    bad: int = 0  # Number of undecodable messages; they are left out.
     _told: defaultdict[int, list[StoredMessage]] = field(default_factory=lambda: defaultdict(list))
 
     def __len__(self) -> int:
@@ -53,10 +53,11 @@ class Track:
     def play(
         self, robot: str, episode: str, began_ns: int, wanted: Mapping[str, Topic]
     ) -> Iterator[Tick]:
-        """Yield tick after tick of the wanted topics, under other ids.
+        """Yield the selected topics tick by tick, under other ids.
 
-        It is told as a run, so that who records it has no second demonstration. The first tick has the stamp
-        `began_ns`, the others are as far from it as they were: what goes by the time between frames does as it did.
+        The episode is announced as a run, so that a recorder does not create a second
+        demonstration. The
+        first tick has the stamp `began_ns`; the time between ticks is as recorded.
         """
         first_ns = min(told[0].stamp_ns for told in self._told.values())
         for tick, told in sorted(self._told.items()):
@@ -91,17 +92,17 @@ def _place(message: Message) -> tuple[int, int]:
 
 
 def end_of(last: Message, started: Episode) -> Episode:
-    """Return the end of an episode whose end was not recorded, or is not replayed."""
+    """Return an end for an episode whose end is not recorded or not replayed."""
     told = started.model_dump(include={"purpose", "driver", "world", "seed", "goal"})
     return Episode.after(last, event="ended", outcome="aborted", **told)
 
 
 def tracks_of(path: Path) -> tuple[Track, ...]:
-    """Read the messages of robots by episode; RecordingError if there are none."""
+    """Read the messages of robots by episode; raise RecordingError if there are no messages."""
     tracks: dict[tuple[str, str], Track] = {}
     for stored in messages_of(path, REPLAYABLE.values()):
         ids = stored.robot, stored.episode
         tracks.setdefault(ids, Track(*ids)).add(stored)
     if not tracks:
-        raise RecordingError(f"{path}: holds nothing that a robot told")
+        raise RecordingError(f"{path}: no robot messages in this recording")
     return tuple(tracks.values())

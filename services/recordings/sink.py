@@ -1,4 +1,4 @@
-"""The file of a recording: ``NAME.mcap.partial`` until it is sealed; its lock is its owner's."""
+"""File of a recording: ``NAME.mcap.partial`` until it is sealed, locked by its owner."""
 
 import fcntl
 import os
@@ -15,12 +15,17 @@ SYNC_PERIOD_S: Final = 1.0
 def claim(path: Path, flags: int = os.O_RDWR) -> int:
     """Open and lock a file that is being recorded; the lock ends with the descriptor.
 
-    Raises BlockingIOError when another recorder holds it, OSError when it cannot be opened or is no regular file.
+    Raises
+    ------
+    BlockingIOError
+        If another recorder holds the lock.
+    OSError
+        If the file cannot be opened or is not a regular file.
     """
     descriptor = open_regular(path, flags)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        # Another recorder may have replaced the file meanwhile.
+        # Another recorder can have replaced the file meanwhile.
         if not os.path.samestat(os.fstat(descriptor), path.stat()):
             raise BlockingIOError(f"{path} is being recorded")
     except OSError:
@@ -47,23 +52,23 @@ def first_of(path: Path) -> Path | None:
 
 
 def partial_of(path: Path) -> Path:
-    """Return the name that a recording has until it is sealed."""
+    """Return the name of a recording before it is sealed."""
     return path.with_name(path.name + PARTIAL_SUFFIX)
 
 
 def finished(partial: Path) -> Path:
-    """Return the name that a leftover gets; never that of another recording."""
+    """Return the final name of a leftover, which is never the name of another recording."""
     path = partial.with_name(partial.name.removesuffix(PARTIAL_SUFFIX))
     return free_path(path.parent, path.stem) if path.exists() else path
 
 
 def leftovers(folder: Path) -> set[Path]:
-    """Return the unsealed recordings in a folder, those of living recorders too, but no links."""
+    """Return the unsealed recordings in a folder without links, also of running recorders."""
     return {part for part in folder.glob(f"*.mcap{PARTIAL_SUFFIX}") if not part.is_symlink()}
 
 
 def publish(partial: Path, path: Path) -> None:
-    """Give a sealed recording its name, and make the name itself durable."""
+    """Give a sealed recording its name, durably."""
     partial.rename(path)
     folder = os.open(path.parent, os.O_RDONLY)
     try:
@@ -73,7 +78,7 @@ def publish(partial: Path, path: Path) -> None:
 
 
 class Sink:
-    """A file being recorded, of a descriptor by `claim`; a thread syncs it every second."""
+    """A file being recorded, with a descriptor from `claim`; a thread syncs it every second."""
 
     def __init__(self, descriptor: int, size: int = 0) -> None:
         self._descriptor = descriptor
@@ -84,18 +89,18 @@ class Sink:
         self._syncer.start()
 
     def write(self, data: bytes) -> None:
-        """Append ``data``; OSError if the disk is full, after a part of it may be written."""
+        """Append ``data``; raise OSError if the disk is full, perhaps after a part is written."""
         rest = memoryview(data)
         while rest:
             rest = rest[os.write(self._descriptor, rest) :]
         self._size += len(data)
 
     def tell(self) -> int:
-        """Return how many bytes were written."""
+        """Return the number of written bytes."""
         return self._size
 
     def flush(self) -> None:
-        """Have nothing to write that was kept back."""
+        """Do nothing: all writes are unbuffered."""
 
     def sync(self) -> None:
         """Wait until everything is on the disk."""
@@ -112,5 +117,5 @@ class Sink:
             try:
                 os.fsync(self._descriptor)
             except OSError:
-                # The next write, or the sync before the file gets its name, raises it again.
+                # The next write, or the sync before the final name, raises the error again.
                 return

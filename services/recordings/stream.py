@@ -1,4 +1,4 @@
-"""Read the messages of a recording one after the other, each with its robot and episode."""
+"""Messages of a recording one after the other, each with its robot and episode."""
 
 import os
 import re
@@ -28,16 +28,16 @@ from services.recordings.records import (
 )
 from services.recordings.sink import PARTIAL_SUFFIX, claim
 
-#: Memory of a kept message beside its bytes: its object, and its numbers.
+#: Memory of a kept message beside its bytes: its object and its numbers.
 OBJECTS: Final = 2048
 
 
 class RecordingError(JobError):
-    """A file cannot be used as a recording; the text names the file."""
+    """Raised when a file cannot be used as a recording; the text has its name."""
 
 
 def being_recorded(path: Path) -> bool:
-    """Whether a living recorder writes this file; RecordingError if the file cannot be read."""
+    """Return whether a running recorder writes this file; raise RecordingError if it is unreadable."""
     try:
         if path.suffix == PARTIAL_SUFFIX:
             os.close(claim(path, os.O_RDONLY))
@@ -54,7 +54,7 @@ def open_recording(path: Path, *, living: bool = False) -> memoryview:
     Raises
     ------
     RecordingError
-        If the file is no recording, or is being recorded and not ``living``.
+        If the file is not a recording, or is being recorded and not ``living``.
     """
     if not living and being_recorded(path):
         raise RecordingError(
@@ -72,7 +72,7 @@ def open_recording(path: Path, *, living: bool = False) -> memoryview:
 
 
 class StoredMessage(NamedTuple):
-    """A message of a recording, not yet decoded; tick and stamp are those of its record."""
+    """A message of a recording before decoding; tick and stamp are those of its record."""
 
     key: str
     topic: Topic | None  # None for a foreign key, which has no robot and no episode.
@@ -83,9 +83,9 @@ class StoredMessage(NamedTuple):
     payload: memoryview
 
     def message(self, *, pixels: bool = False) -> Message:
-        """Decode the message, and its ``pixels``; ValueError if it does not fit its channel."""
+        """Decode the message and its ``pixels``; raise ValueError if it does not match its channel."""
         if self.topic is None:
-            raise ValueError(f"{self.key} is no topic of ours")
+            raise ValueError(f"unknown topic {self.key}")
         payload = copied(self.payload)
         try:
             message = (
@@ -100,7 +100,7 @@ class StoredMessage(NamedTuple):
             self.episode,
             self.topic.name,
         ):
-            raise ValueError("of another robot, episode or topic than its channel")
+            raise ValueError("robot, episode or topic differs from its channel")
         if pixels and isinstance(message, CompressedImage):
             decode_jpeg(message.data)
         return message
@@ -117,7 +117,7 @@ class StoredMessage(NamedTuple):
 
 
 def messages(every: Iterable[McapRecord]) -> Iterator[StoredMessage]:
-    """Yield the messages among the records of a file, foreign ones too."""
+    """Yield the messages among the records of a file, including foreign messages."""
     channels: dict[int, tuple[str, Topic | None, str, str]] = {}
     for record in every:
         if isinstance(record, Channel):

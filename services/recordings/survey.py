@@ -1,4 +1,4 @@
-"""Read all whole records of an MCAP file, also behind damage, and the summary at its end."""
+"""All complete records of an MCAP file, also after damage, and the summary at its end."""
 
 import mmap
 import struct
@@ -22,24 +22,25 @@ from services.recordings.records import (
 )
 
 _KNOWN: Final = frozenset(map(int, Opcode))
-#: Before the magic at the end: where the summary begins, where its parts are listed, its checksum.
+#: Before the magic at the end: position of the summary, of its index, and its checksum.
 _FOOTER: Final = struct.Struct("<BQQQI")
 #: Before the summary: the end of the data, with its checksum.
 _DATA_END: Final = struct.Struct("<BQI")
-_COUNT: Final = struct.Struct("<Q")  # The first of the statistics: the number of messages.
-_CHECKED: Final = 4  # Bytes that a search for chunks may check, as a multiple of the file's size.
+_COUNT: Final = struct.Struct("<Q")  # First field of the statistics: the number of messages.
+# Maximum number of bytes that a search for chunks checks, as a multiple of the file's size.
+_CHECKED: Final = 4
 
 
 class Summary(NamedTuple):
     """The summary of a sealed recording."""
 
     data_end: int  # Position of the record that ends the data section.
-    records: tuple[McapRecord, ...] = ()  # Schemas and channels once more.
+    records: tuple[McapRecord, ...] = ()  # Schemas and channels, repeated.
     messages: int | None = None  # Number of messages; None if unknown.
 
 
 def summary_of(data: memoryview) -> Summary | None:
-    """Return the summary of a recording; None if it is not sealed, or its end is damaged."""
+    """Return the summary of a recording; None if it is unsealed, or its end is damaged."""
     end = len(data) - len(MAGIC) - _FOOTER.size
     if end < len(MAGIC) or data[-len(MAGIC) :] != MAGIC:
         return None
@@ -47,7 +48,7 @@ def summary_of(data: memoryview) -> Summary | None:
     begin = begin or end
     if (opcode, length) != (Opcode.FOOTER, 20) or not len(MAGIC) + _DATA_END.size <= begin <= end:
         return None
-    # The checksum is of everything before itself.
+    # The checksum covers everything before itself.
     if checksum not in (0, zlib.crc32(data[begin : len(data) - len(MAGIC) - 4])):
         return None
     kept: list[McapRecord] = []
@@ -64,16 +65,16 @@ def summary_of(data: memoryview) -> Summary | None:
 
 
 def surveyed(data: memoryview, tell: Callable[[str], None]) -> Iterator[McapRecord]:
-    """Yield the schemas and channels of the summary, then all whole records of the data section.
+    """Yield the schemas and channels of the summary, then all complete records of the data section.
 
-    A damaged length leads astray: reading goes on at the next chunk whose checksum is right.
-    ``tell`` receives each finding. MemoryLimitError if the file unpacks to too much.
+    After a damaged length, reading continues at the next chunk with a correct checksum. ``tell``
+    receives each finding. Raises MemoryLimitError if the file unpacks to too much memory.
     """
     known = summary_of(data) or Summary(len(data))
     count = orphans = 0
     yield from known.records
     channels = {one.id for one in known.records if isinstance(one, Channel)}
-    # The summary repeats schemas and channels: no damaged length may lead there.
+    # The summary repeats schemas and channels: no damaged length must lead there.
     section = data[: known.data_end + _DATA_END.size]
     for record in _Survey(section, known.data_end, tell).records():
         if isinstance(record, Channel):
@@ -83,13 +84,13 @@ def surveyed(data: memoryview, tell: Callable[[str], None]) -> Iterator[McapReco
             orphans += record.channel_id not in channels
         yield record
     if orphans:
-        tell(f"{orphans} messages are of a channel that is lost")
+        tell(f"{orphans} messages of a lost channel")
     if known.messages not in (None, count):
-        tell(f"its index tells of {known.messages} messages, and there are {count}")
+        tell(f"index announces {known.messages} messages, but there are {count}")
 
 
 class _Survey:
-    """Reads whole records; `sure` is the end of the last record whose place is certain."""
+    """Reads complete records; `sure` is the end of the last record whose position is certain."""
 
     def __init__(self, data: memoryview, data_end: int, tell: Callable[[str], None]) -> None:
         self._data = data
@@ -114,7 +115,7 @@ class _Survey:
                 at = self._behind(head)
 
     def _records_of(self, head: Head) -> list[McapRecord]:
-        """Return the records in a chunk, or the record itself if it holds something."""
+        """Return the records in a chunk, or the record itself if it has content."""
         body = self._data[head.begin : head.end]
         if head.opcode == Opcode.CHUNK:
             return list(records.inside(records.chunk_of(body), self._bounds, checked=True))
@@ -122,21 +123,21 @@ class _Survey:
         return [] if record is None else [record]
 
     def _skip_damage(self, at: int, *, cut_off: bool) -> int:
-        """Return the position of the next sure chunk; a recording that was cut off has none."""
+        """Return the position of the next valid chunk, if any."""
         following = self._search.next(self._sure + 1, self._data_end)
         if following < len(self._data) or not cut_off:
-            lost = f"what stands from byte {self._sure} to {following} is lost"
+            lost = f"bytes {self._sure} to {following} are lost"
             self._tell(f"damaged at byte {at}: {lost}")
         self._sure = following if following > self._sure else len(self._data)
         return self._sure
 
     def _behind(self, head: Head) -> int:
-        """Return the position of the next record, and check the data at their end."""
+        """Return the position of the next record, and verify the data checksum at the end."""
         if head.opcode == Opcode.DATA_END:
             checksum = int.from_bytes(self._data[head.begin : head.begin + 4], "little")
             before = self._data[: head.begin - records.HEAD.size]
             if checksum not in (0, zlib.crc32(before)):
-                self._tell("the checksum of its data is wrong")
+                self._tell("wrong checksum of the data")
             return len(self._data)
         if head.opcode in (Opcode.CHUNK, Opcode.MESSAGE):
             self._sure = head.end
@@ -144,7 +145,7 @@ class _Survey:
 
 
 def _head(data: memoryview, at: int) -> Head:
-    """Return the head of the record at a position; EndOfFile if cut off, McapError if there is none."""
+    """Return the head of the record at a position; raise EndOfFile if truncated, McapError if invalid."""
     head = next(heads(data, at), None)
     if head is None or head.end > len(data):
         raise EndOfFile
@@ -154,10 +155,10 @@ def _head(data: memoryview, at: int) -> Head:
 
 
 class ChunkSearch:
-    """Finds the chunks behind damage, by their checksums.
+    """Finds the chunks after damage by their checksums.
 
-    Any byte may look like the head of a large chunk. The bytes to check are bounded, so that no
-    file can be made to be searched for ever.
+    Any byte can look like the head of a large chunk. The number of checked bytes is limited, so
+    that no file can cause an endless search.
     """
 
     def __init__(self, data: memoryview) -> None:
@@ -165,7 +166,7 @@ class ChunkSearch:
         self._left = _CHECKED * len(data)
 
     def next(self, at: int, end: int) -> int:
-        """Return the position of the next chunk whose checksum is right, or `end`."""
+        """Return the position of the next chunk with a correct checksum, or `end`."""
         source = cast("mmap.mmap | bytes", self._data.obj)
         while self._left > 0 and (at := source.find(bytes([Opcode.CHUNK]), at, end)) >= 0:
             try:

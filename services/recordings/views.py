@@ -1,11 +1,12 @@
-"""Derive drawings for viewers such as Foxglove and Rerun from the recorded messages.
+"""Drawings for viewers such as Foxglove and Rerun, derived from the recorded messages.
 
-Beside each message stands, in the same chunk, what can be drawn of it, on a key of its own: ``smal/ROBOT/view/NAME``.
-None of it is read back: where recordings are merged or repaired it is derived anew.
+A drawing is written after its message, in the same chunk, under its own key
+``smal/ROBOT/view/NAME``. Drawings are never read back: merging and repair derive them again.
 
-Frames, as ROS has them: ``base_link`` is the robot, ``camera`` its camera, ``odom`` where the wheels say that it began,
-``map`` the taught ways, ``world`` the simulator's. ``map`` hangs on ``odom`` where the belief puts it, so that there is
-one tree. Where the camera is mounted no message says; it is drawn at the robot's centre.
+Frames follow ROS: ``base_link`` is the robot, ``camera`` its camera, ``odom`` the origin of the
+odometry, ``map`` the taught ways, ``world`` the simulator's frame. The belief places ``map`` in
+``odom``, so that there is one tree. Messages do not contain the mount of the camera, which is drawn
+at the robot's centre.
 """
 
 from collections.abc import Iterator
@@ -44,17 +45,17 @@ from services.recordings.encoding import CAMERA_FRAME, timestamp
 from smal.movement import placed, seen_from
 
 _PART: Final = "/view/"
-#: Poses by the wheels that wait for the belief of their frame, a few frames later.
+#: Poses by odometry that wait for the belief of their frame, a few frames later.
 _KEPT: Final = 100
-#: The arrow of the belief is half a metre long, like a robot.
+#: Arrow of the belief, half a metre long like a robot.
 _ARROW: Final = {
     "shaft_length": 0.35,
     "shaft_diameter": 0.075,
     "head_length": 0.15,
     "head_diameter": 0.15,
 }
-_STEP_M: Final = 0.1  # Least distance of two points of the driven way.
-_MOST_POINTS: Final = 10_000  # Of a way: more than a screen resolves.
+_STEP_M: Final = 0.1  # Minimum distance of two points of the driven route.
+_MOST_POINTS: Final = 10_000  # Maximum points of a route: more than the resolution of a screen.
 _LINE_PX: Final = 3.0
 _TAUGHT: Final = Color(r=0.3, g=0.6, b=1.0, a=1.0)
 _DRIVEN: Final = Color(r=1.0, g=0.8, b=0.2, a=1.0)
@@ -63,7 +64,7 @@ Array = NDArray[np.float64]
 
 
 class RecordedView(NamedTuple):
-    """Something to draw."""
+    """Recorded drawing and its key."""
 
     name: str
     message: ProtobufMessage
@@ -75,12 +76,12 @@ def view_key(robot: str, name: str) -> str:
 
 
 def is_view(key: str) -> bool:
-    """Whether a key is that of a view."""
+    """Return whether a key belongs to a view."""
     return key.startswith(f"{ROOT}/") and _PART in key
 
 
 class Views:
-    """Derives the views of one episode, message after message."""
+    """Derives the views of one episode, message by message."""
 
     def __init__(self) -> None:
         self._wheels: dict[int, Array] = {}
@@ -98,7 +99,7 @@ class Views:
         yield from ()
 
     def way(self) -> Iterator[tuple[Message, RecordedView]]:
-        """Yield the whole driven way, with the first message, so that it is visible at any time."""
+        """Yield the whole driven route, stamped as the first message to be visible at any time."""
         if self._began is not None and len(self._way) > 1:
             points = np.array([(x_m, y_m, 0.0) for x_m, y_m in self._way])
             for view in _line(self._began, "odom", "driven", [points], _DRIVEN):
@@ -125,7 +126,7 @@ class Views:
         yield from self._world(pose)
 
     def _world(self, message: Message) -> Iterator[RecordedView]:
-        """Yield once the transform from the world to the axes of the wheels."""
+        """Yield once the transform from the world to the frame of the odometry."""
         wheels = self._wheels.get(message.tick)
         true = self._true.get(message.tick)
         if not self._with_world and wheels is not None and true is not None:
@@ -156,7 +157,7 @@ class Views:
         calibration.R.extend([1, 0, 0, 0, 1, 0, 0, 0, 1])
         calibration.P.extend([focal, 0, x, 0, 0, focal, y, 0, 0, 0, 1, 0])
         yield RecordedView("calibration", calibration)
-        # Looks ahead: its z is the robot's x, its x the robot's right.
+        # The camera looks ahead: its z is the robot's x, its x the robot's right.
         camera = _transform(info, "base_link", CAMERA_FRAME, _ORIGIN)
         camera.rotation.CopyFrom(Quaternion(x=-0.5, y=0.5, z=-0.5, w=0.5))
         yield RecordedView("camera", camera)
@@ -181,7 +182,7 @@ class Views:
         offsets = state.places.to_numpy()[known, 1:4].astype(np.float64)
         poses = placed(offsets, self._keyframes[keyframes[known]])
         wheels = self._wheels.get(state.tick)
-        # A lost robot is drawn by its wheels, if it has any.
+        # A lost robot is drawn at its odometry, if any.
         if wheels is not None and state.status == "recognized":
             yield RecordedView(
                 "map", _transform(state, "odom", "map", _origin_of(wheels, poses[0]))
@@ -191,7 +192,7 @@ class Views:
         color = Color(r=state.lost, g=1.0 - state.lost, b=0.0, a=1.0)
         arrow = ArrowPrimitive(pose=_pose(poses[0]), color=color, **_ARROW)
         yield RecordedView("belief", _scene(state, "map", "belief", SceneEntity(arrows=[arrow])))
-        # All places, each as high as it is likely.
+        # All places; the height shows the likelihood.
         points = np.column_stack([poses[:, :2], state.weights[known]])
         yield RecordedView("places", _cloud(state, "map", points))
 
@@ -238,7 +239,7 @@ def _keep(poses: dict[int, Array], tick: int, pose: Array) -> None:
 
 
 def _origin_of(pose: Array, same: Array) -> Array:
-    """Return the origin of the axes in which a pose is the `same`."""
+    """Return the origin of the frame in which a pose is the `same`."""
     return placed(seen_from(_ORIGIN, same), pose)
 
 

@@ -1,4 +1,4 @@
-"""Write the recording of an episode."""
+"""Writer of the recording of an episode."""
 
 import os
 import sys
@@ -17,10 +17,10 @@ from services.recordings.ledger import Ledger
 from services.recordings.sink import Sink, claim, free_path, partial_of, publish
 from services.recordings.views import RecordedView, Views, view_key
 
-#: Names of the metadata records: the episode (written first), and its gaps (written last).
+#: Names of the metadata records: the episode (written first) and its gaps (written last).
 EPISODE_METADATA: Final = "smal.episode"
 GAPS_METADATA: Final = "smal.gaps"
-#: Time of a chunk: viewers load whole chunks, and a kill or a wrong byte costs a chunk.
+#: Duration of a chunk: viewers load whole chunks, and a crash or a wrong byte costs a chunk.
 _CHUNK_NS: Final = 1_000_000_000
 #: Largest chunk, for large images, which stay in memory until it is written.
 _CHUNK_BYTES: Final = 4 * 2**20
@@ -29,23 +29,23 @@ _CHUNK_BYTES: Final = 4 * 2**20
 class EpisodeWriter:
     """Writes the messages of one episode.
 
-    The file is called ``<episode>.mcap.partial`` until it is sealed. It grows by a chunk for each second of messages,
-    and when `flush` is called: a process that is killed loses what came since. Raises OSError when ``part``, the file
-    that is written, cannot be made; ``metadata`` says what the episode is, its robot and id included.
+    The file is named ``<episode>.mcap.partial`` until it is sealed. It grows by a chunk for each
+    second of messages, and with `flush`: a crash loses the messages since then. Raises OSError if
+    the file ``part`` cannot be created. ``metadata`` describes the episode, with its robot and id.
     """
 
     def __init__(self, part: Path, path: Path, metadata: dict[str, str]) -> None:
         self.path = path
         self.ledger = Ledger()
-        self.messages = self._written = 0  # How many it has taken.
+        self.messages = self._written = 0  # Number of accepted messages.
         self.end_tick: int | None = None  # Last tick of the episode.
-        self.problem: str | None = None  # Why it accepts no more messages.
+        self.problem: str | None = None  # Reason to accept no more messages.
         self._part = part
         self._ids = {name: metadata[name] for name in ("robot", "episode")}
         self._views = Views()
         self._channels: dict[tuple[str, ChannelFormat], int] = {}
         self._schemas: dict[ChannelFormat, int] = {}
-        #: Of the chunk that waits: its bytes, and its first time.
+        #: Bytes and first time of the waiting chunk.
         self._bytes = 0
         self._first_ns = sys.maxsize
         self._sink = Sink(claim(part, os.O_RDWR | os.O_CREAT | os.O_EXCL))
@@ -62,7 +62,7 @@ class EpisodeWriter:
 
     @classmethod
     def begin(cls, folder: Path, started: Episode) -> Self:
-        """Create the file of an episode that begins with this event; OSError if that fails."""
+        """Create the file of an episode from its first event; raise OSError if that fails."""
         path = free_path(folder, started.episode)
         names = ("robot", "episode", "world", "seed", "purpose", "goal", "driver")
         metadata = {name: str(getattr(started, name)) for name in names}
@@ -80,11 +80,11 @@ class EpisodeWriter:
 
     @property
     def waiting(self) -> int:
-        """Messages that are not yet in the file."""
+        """Number of messages not yet in the file."""
         return self.messages - self._written
 
     def write(self, message: Message) -> None:
-        """Write a message if it is new; after an OSError (disk full) it accepts no more."""
+        """Write a message if it is new; after an OSError (disk full) reject all messages."""
         if self.problem is not None or not self.ledger.admit(message):
             return
         self._add(key_of(message), format_of(type(message)), message, payload_of(message))
@@ -98,13 +98,14 @@ class EpisodeWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Write the waiting messages; raises as `write`."""
+        """Write the waiting messages; raise errors as `write` does."""
         before = self._sink.tell()
         try:
             self._file.flush()
         except OSError as error:
             self.problem = error.strerror or str(error)
-            # Chunk and index are separate writes: without room for the index, the chunk is complete.
+            # Chunk and index are separate writes: without space for the index, the chunk is
+            # complete.
             if self._sink.tell() > before:
                 self._written = self.messages
             raise
@@ -113,7 +114,7 @@ class EpisodeWriter:
         self._first_ns = sys.maxsize
 
     def seal(self) -> Path:
-        """Finish and name the recording; without room for its end, `leftover` seals it later."""
+        """Complete and name the recording; without space for its end, `leftover` seals it later."""
         try:
             if self.problem is None:
                 self._finish()
@@ -132,7 +133,7 @@ class EpisodeWriter:
         self._file.add_metadata(
             GAPS_METADATA, {"duplicates": str(self.ledger.duplicates)} | self.ledger.gaps()
         )
-        # Behind it, in a chunk of its own: it has the time of the beginning.
+        # After the messages, in a separate chunk: it has the time of the first message.
         for cause, view in self._views.way():
             self._draw(view, cause)
         self._file.finish()

@@ -1,1 +1,1 @@
-"""Episodes that a command has run: asked for, recorded, and shown."""
+"""Episodes of a command: requested, recorded and reported."""

@@ -1,4 +1,4 @@
-"""A client that has episodes run and keeps what a report needs of them."""
+"""Client that runs episodes and collects the data for a report."""
 
 import sys
 import time
@@ -28,41 +28,39 @@ from services.kit.jpeg import decode_jpeg
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 
-BEAT_S: Final = 0.5  # How often the robot hears that whoever began its episode is there.
-SILENCE_S: Final = 60.0  # Seconds without any sign of the robot after which an episode is given up.
-JUDGED_S: Final = 30.0  # Time for a person to look whether the robot is where it says that it is; it stands meanwhile.
+BEAT_S: Final = 0.5  # Period of the heartbeat to the robot, seconds.
+SILENCE_S: Final = 60.0  # Timeout without a sign of the robot, seconds.
+JUDGED_S: Final = 30.0  # Time for the operator to confirm the goal while the robot stands, seconds.
 
 
 @dataclass
 class EpisodeRecord:
-    """What was seen of one episode; what is told of single frames is kept by their tick."""
+    """The data of one episode, by tick."""
 
     request: ResetRequest
-    world: str = ""  # Name of the world, or of a real robot's body.
-    ticks: int = 0  # Frames that passed.
+    world: str = ""  # Name of the world, or of the body of a real robot.
+    ticks: int = 0
     outcome: Outcome = "aborted"
-    right: bool | None = None  # Whether "not here" was so, where somebody knows.
+    right: bool | None = None  # Whether a "not here" was correct, if known.
     things: tuple[
         tuple[tuple[float, float], ...], ...
-    ] = ()  # Outlines of what stood there anew, metres.
+    ] = ()  # Outlines of the added obstacles, metres.
     poses: dict[int, tuple[float, float]] = field(
         default_factory=dict
-    )  # True poses, (x, y) metres.
-    said: Said | None = None  # What the robot said of the goal.
-    decisions: dict[int, str] = field(default_factory=dict)  # Kind of every decision.
-    unrecognized: set[int] = field(
-        default_factory=set
-    )  # Decisions that were taken without a recognized state.
+    )  # True positions (x, y), metres.
+    said: Said | None = None  # Announcement of the robot about the goal.
+    decisions: dict[int, str] = field(default_factory=dict)
+    unrecognized: set[int] = field(default_factory=set)  # Decisions without a recognized state.
     latencies_ms: dict[int, float] = field(
         default_factory=dict
-    )  # From a frame to the acceptance of its command.
+    )  # Latency from a frame to the acceptance of its command.
     frames: dict[int, NDArray[np.uint8]] = field(
         default_factory=dict
-    )  # Some camera images of the way.
+    )  # A sample of the camera images.
 
 
 class EpisodeClient:
-    """Runs one episode after another on a stack, by this name on the bus."""
+    """Runs episodes one after another on a stack."""
 
     def __init__(self, name: str, settings: ServiceSettings) -> None:
         self.node = Node(name, settings)
@@ -72,7 +70,7 @@ class EpisodeClient:
         self._alive_s = 0.0
         self._beats = count()
         self._armed = False
-        # Replayed: a busy machine may lose its connection for a moment, and an end that is not heard is waited for.
+        # Replayed: a busy machine can lose its connection for a moment and must not miss the end.
         self.node.subscribe(topics.EPISODE, self._on_event, replay=True)
         self.node.subscribe(topics.APPLIED, self._on_applied, depth=256)
         self.node.subscribe(topics.ACTION, self._on_action, depth=256)
@@ -81,7 +79,7 @@ class EpisodeClient:
     def watch_poses(
         self, handler: Callable[[TruePose], Message | None] = lambda _pose: None
     ) -> None:
-        """Keep the true poses; ``handler`` sees each as well, and may answer."""
+        """Keep the true poses; the optional ``handler`` receives each pose and can answer."""
 
         def on_pose(pose: TruePose) -> Message | None:
             if record := self._of(pose):
@@ -91,7 +89,7 @@ class EpisodeClient:
         self.node.subscribe(topics.POSE, on_pose, depth=256)
 
     def watch_frames(self, every: int) -> None:
-        """Keep each ``every``-th camera image."""
+        """Keep every ``every``-th camera image."""
 
         def on_image(image: CompressedImage) -> None:
             record = self._of(image)
@@ -109,16 +107,33 @@ class EpisodeClient:
         check: Callable[[], None] = lambda: None,
         world: str | None = None,
     ) -> EpisodeRecord:
-        """Run one episode to its end; JobError when the robot is in another world than asked for, or falls silent.
+        """Run one episode to its end.
 
-        `on_begin` is called with the robot's reply, before any message of the episode is handled, and may raise
-        JobError. `done` ends the episode when it holds; the robot ends it as well, by what it says of the goal.
-        `on_tick` is called with the tick, now and then, and `check` raises when the stack can no longer work.
+        Parameters
+        ----------
+        request : ResetRequest
+            The episode to start.
+        on_begin : callable
+            Called with the robot's reply before any message of the episode; can raise JobError.
+        done : callable
+            Ends the episode when it returns true. The robot's announcement about the goal ends it
+            as well.
+        on_tick : callable
+            Called with the tick, for progress.
+        check : callable
+            Raises an error when the stack cannot continue.
+        world : str, optional
+            Expected name of the world.
+
+        Raises
+        ------
+        JobError
+            If the robot is in another world, or sends nothing for `SILENCE_S`.
         """
         self._record = record = EpisodeRecord(request)
         self._ended = False
         self._arm()
-        # Rendering may be compiling its pipelines: the first reset takes seconds.
+        # The first reset takes seconds when the renderer compiles its pipelines.
         asked = request.model_copy(update={"session": self.node.session})
         reply = self.node.bus.call("robot", "reset", asked, ResetReply, timeout_s=60.0)
         self._episode = reply.episode
@@ -132,7 +147,7 @@ class EpisodeClient:
                 )
             on_begin(reply)
         except JobError:
-            self._end()  # Nobody will drive it.
+            self._end()
             raise
         while not self.node.spin(
             until=lambda: self._ended or record.said is not None or done(), timeout_s=0.5
@@ -141,7 +156,8 @@ class EpisodeClient:
             check()
             if time.monotonic() - self._alive_s > SILENCE_S:
                 raise JobError(
-                    f"no sign of robot {self.node.robot} for {SILENCE_S:.0f} s; see the stack's logs"
+                    f"robot {self.node.robot}: no message for {SILENCE_S:.0f} s; see the "
+                    "stack's logs"
                 )
         if record.said == "found" and not self._ended:
             self._await_judge()
@@ -162,7 +178,7 @@ class EpisodeClient:
         on_begin: Callable[[ResetReply], None] = lambda _reply: None,
         done: Callable[[], bool] = lambda: False,
     ) -> Iterator[EpisodeRecord]:
-        """Run one episode after another, with one bar over all of them; see `run`."""
+        """Run episodes with a common progress bar; see `run`."""
         outcomes: list[Outcome] = []
         with bar_of(requests, desc=what, unit="episode") as bar:
 
@@ -178,19 +194,22 @@ class EpisodeClient:
                 yield record
 
     def _of(self, message: Message) -> EpisodeRecord | None:
-        """Return the record of the episode that a message is of, if it is the one that runs."""
+        """Return the current record if a message belongs to its episode."""
         return self._record if message.episode == self._episode else None
 
     def _await_judge(self) -> None:
-        """Give the operator time to say that the goal is found, where nobody else can."""
+        """Give the operator time to confirm the goal if only a person can judge it."""
         robot = self.node.bus.call("robot", "status", Nothing(), Status).detail
         if robot.get("judge") == "operator" and robot.get("operator"):
-            said = f"it says that it has arrived; if so, say it within {JUDGED_S:.0f} s (f in smal teleop)"
+            said = (
+                f"the robot announces its arrival; confirm it within {JUDGED_S:.0f} s "
+                "(f in smal teleop)"
+            )
             tqdm.write(said, file=sys.stderr)
             self.node.spin(until=lambda: self._ended, timeout_s=JUDGED_S)
 
     def _arm(self) -> None:
-        """Arm once a robot that nobody has armed since its start; to what stops it otherwise, a person has to see."""
+        """Arm a robot that has not been armed since its start; later stops need a person."""
         if self._armed:
             return
         robot = self.node.bus.call("robot", "status", Nothing(), Status).detail
@@ -217,7 +236,7 @@ class EpisodeClient:
             request = EndRequest(episode=self._episode, said=said, session=self.node.session)
             self.node.bus.call("robot", "end", request, Nothing)
         except RpcError as error:
-            refusal = error  # It may have ended by itself; then its last message is on the way.
+            refusal = error  # If the episode ended by itself, its last message is on the way.
         if not self.node.spin(until=lambda: self._ended, timeout_s=10.0):
             raise refusal or JobError(f"episode {self._episode} did not end")
 
@@ -231,7 +250,7 @@ class EpisodeClient:
             record.ticks = event.tick
             record.outcome = event.outcome or "aborted"
             record.right = event.right
-            # What is decided about the last frame moves nothing any more, and may or may not have arrived by now.
+            # A decision about the last frame has no effect and arrives or not by chance.
             record.decisions = {
                 tick: kind for tick, kind in record.decisions.items() if tick < event.tick
             }
@@ -248,9 +267,9 @@ class EpisodeClient:
     def _on_action(self, action: Action) -> None:
         if record := self._of(action):
             record.decisions[action.tick] = action.kind
-            # The policy speaks also where somebody else drives.
+            # The policy also announces when another driver drives.
             if record.request.driver == "policy":
                 record.said = record.said or action.says
-            # Not the kind says so: the robot also looks around where the state is known but has no way on.
+            # The kind does not show it: the robot also searches in a known state without an action.
             if action.state is None:
                 record.unrecognized.add(action.tick)

@@ -1,4 +1,4 @@
-"""The user's files in the hands of a stack's services: what they call them, and the recorder that writes them."""
+"""Files of the user as a stack's services name them, and recording by the stack's recorder."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,32 +13,40 @@ from services.kit.bus import Bus, RpcError
 from services.kit.errors import UsageError
 from services.kit.root import name_below
 
-STOP_TIMEOUT_S: Final = 30.0  # The last file's disk may be slow.
-STOP_AFTER_FAILURE_TIMEOUT_S: Final = 5.0  # Nobody wants to wait for it as long.
+STOP_TIMEOUT_S: Final = 30.0  # A slow disk delays the end of the last file.
+STOP_AFTER_FAILURE_TIMEOUT_S: Final = 5.0
 
 
 def name_for(bus: Bus, service: str, path: Path, option: str) -> str:
-    """Return a path's name below a service's root; UsageError when it is elsewhere, RpcError without an answer."""
+    """Return a path's name below a service's root folder.
+
+    Raises
+    ------
+    UsageError
+        If the path is outside the root folder.
+    RpcError
+        If the service does not answer.
+    """
     root = bus.call(service, "status", Nothing(), Status).detail.get("root")
     name = name_below(Path(str(root)), path)
     if name is None:
         raise UsageError(
-            f"{option} {path}: the {service} of this stack takes only what is below {root}; put it there, or start the "
-            "stack with --root"
+            f"{option} {path}: outside the folder of the {service}, {root}; move it there, or "
+            "start the stack with --root"
         )
     return name
 
 
 @contextmanager
 def recording(bus: Bus, folder: Path, option: str) -> Iterator[list[str]]:
-    """Record every episode into a folder; give the list of recordings, filled at the end. UsageError names `option`."""
+    """Record every episode into a folder; yield a list that holds the recordings at the end."""
     request = RecordRequest(folder=name_for(bus, "recorder", folder, option))
     bus.call("recorder", "start", request, Nothing)
     files: list[str] = []
     try:
         yield files
     except BaseException:
-        # What failed is the news, and not that the recorder may be gone with it.
+        # The first error matters more than a recorder that is gone with it.
         with suppress(RpcError):
             bus.call("recorder", "stop", Nothing(), RecordReply, STOP_AFTER_FAILURE_TIMEOUT_S)
         raise
@@ -48,5 +56,6 @@ def recording(bus: Bus, folder: Path, option: str) -> Iterator[list[str]]:
         told = bus.call("recorder", "status", Nothing(), Status).detail.get("last_error")
         why = "" if told is None else f" ({printable(str(told))})"
         tqdm.write(
-            f"warning: the recorder dropped {reply.dropped} messages{why}; smal learn cuts recordings at gaps"
+            f"warning: the recorder dropped {reply.dropped} messages{why}; smal learn splits "
+            "recordings at gaps"
         )

@@ -1,4 +1,4 @@
-"""What came of episodes: their ways on a map, and the page of results of ``smal run``."""
+"""Page of results of ``smal run``, with the routes of the episodes on a map."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,7 +20,7 @@ from smal.files.stored import Stored
 from smal.likelihood import evenly
 
 THING_COLOUR: Final = "#d6602d"
-STRIP: Final = 6  # Camera images shown of the example run.
+STRIP: Final = 6  # Number of camera images of the example run.
 OUTCOME_COLOURS: Final = {
     "found": "#1a7f37", "collision": "#c62828", "timeout": "#b26a00", "false_goal": "#7b1fa2", "aborted": "#666666",
     "missed": "#c98f00", "not_here": "#1565c0",
@@ -67,10 +67,10 @@ def write_report(
 
 
 def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:
-    """Draw the way of each episode, coloured by how it ended, on the map of their world if that is known here."""
+    """Draw the routes of the episodes, coloured by outcome, on the map of a known world."""
     figure = Figure(figsize=(9, 9), layout="constrained")
     axes = figure.add_subplot()
-    # What a robot tells may be the name of a world of ours, but never a path to be read.
+    # A remote robot can name a built-in world, but never a path to read.
     name = world or (records[0].world if records[0].world in known_worlds() else None)
     there = None if name is None else load_world(name)
     seen: list[NDArray[np.float64]] = []
@@ -80,7 +80,7 @@ def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:
             color=THING_COLOUR,
             lw=0,
             alpha=0.6,
-            label="new, in one run",
+            label="added, in one run",
             zorder=2.5,
         )
     for record in records:

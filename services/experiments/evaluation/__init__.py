@@ -1,1 +1,1 @@
-"""Closed-loop experiments in one process: the simulator, the method and its peers, without a bus between them."""
+"""Closed-loop experiments in one process: simulator, method and baselines, without a bus."""

@@ -1,4 +1,4 @@
-"""Degradations of what a running robot sees; chance belongs to seed and tick, so that all methods see the same."""
+"""Degradations of camera images; random by seed and tick, so that all methods see the same."""
 
 import math
 from dataclasses import dataclass
@@ -7,29 +7,25 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-LEAST_COVERED: Final = (
-    0.5  # Share of the image that an occluder covers, at least; at most all of it.
-)
-_WHETHER, _WHAT, _NOISE = range(
-    3
-)  # Sources of chance in an episode; their order is part of every seed.
+# Smallest share of the image that an occluder covers; the largest is the whole image.
+LEAST_COVERED: Final = 0.5
+# Random sources of an episode; their order is part of every seed.
+_WHETHER, _WHAT, _NOISE = range(3)
 
 
 @dataclass(frozen=True)
 class Degradation:
-    """How bad the robot's view is."""
+    """Degradation of the robot's view."""
 
-    occlusion: float = (
-        0.0  # Share of the frames of which one colour hides 50 to 100 %, a rectangle.
-    )
-    noise: float = (
-        0.0  # Standard deviation of Gaussian noise on every pixel and channel, grey levels.
-    )
-    shake: float | None = None  # Strength of the camera's shake; None for as usual in that world.
+    # Share of frames with a rectangle of one colour over 50 to 100 % of the image.
+    occlusion: float = 0.0
+    # Standard deviation of Gaussian noise on every pixel and channel, grey levels.
+    noise: float = 0.0
+    shake: float | None = None  # Strength of the camera shake; None for the world's default.
 
     @property
     def meaning(self) -> str:
-        """One line for people."""
+        """Description in one line."""
         said = [
             f"{self.occlusion:.0%} of the frames occluded by half or more"
             if self.occlusion
@@ -37,19 +33,19 @@ class Degradation:
             f"noise of {self.noise:g} grey levels" if self.noise else "",
             "" if self.shake is None else f"shake {self.shake:g}",
         ]
-        return ", ".join(filter(None, said)) or "as in teaching"
+        return ", ".join(filter(None, said)) or "same as in teaching"
 
 
 DEGRADATIONS: Final = {
     "clean": Degradation(),
     "occluded": Degradation(occlusion=0.35),
-    #: All that a camera suffers at once.
+    #: All degradations at once.
     "poor": Degradation(occlusion=0.35, noise=40.0, shake=2.0),
 }
 
 
 class Degrader:
-    """Degrades the frames of one episode, in order from tick 0; its shake is the simulation's matter."""
+    """Degrades the frames of one episode, in order from tick 0; the simulator adds the shake."""
 
     def __init__(self, degradation: Degradation, seed: int) -> None:
         self._degradation = degradation
@@ -57,7 +53,7 @@ class Degrader:
         self._whether = np.random.default_rng([seed, _WHETHER])
 
     def apply(self, tick: int, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return what the robot sees of a frame, (height, width, 3) uint8 RGB; the given image stays as it is."""
+        """Return a degraded copy of an image, (height, width, 3) uint8 RGB."""
         how = self._degradation
         if how.occlusion and self._whether.random() < how.occlusion:
             image = _occluded(image, np.random.default_rng([self._seed, _WHAT, tick]))
@@ -69,7 +65,7 @@ class Degrader:
 
 
 def _occluded(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Hide a rectangle that covers at least `LEAST_COVERED` of the image, anywhere in it, behind one colour."""
+    """Hide a random rectangle of at least `LEAST_COVERED` of the image behind one colour."""
     height, width = image.shape[:2]
     covered = rng.uniform(LEAST_COVERED, 1.0)
     across = rng.uniform(covered, 1.0)

@@ -1,4 +1,4 @@
-"""Drives of the scripted expert in this process, as `smal demonstrate` records and `smal learn` reads them."""
+"""Drives of the scripted expert in this process, equal to those of `smal demonstrate`."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -31,7 +31,10 @@ Via = Sequence[tuple[float, float]]
 
 @dataclass(frozen=True, eq=False)
 class RecordedDrive:
-    """A drive that teaches, with images as JPEG, and its true poses (f, 3), metres and radians, which teach nothing."""
+    """A teaching drive with JPEG images.
+
+    The true poses (f, 3), metres and radians, are for evaluation only.
+    """
 
     demonstration: Demonstration
     poses: NDArray[np.float64]
@@ -40,7 +43,10 @@ class RecordedDrive:
 def views_of_expert(
     simulation: Simulation, seed: int, via: Via = (), purpose: Purpose = "drive"
 ) -> Iterator[tuple[SimulatedView, Atom | None]]:
-    """Have the expert drive by way of places; yield each view and its atom: STOP at the victim, None at a failure."""
+    """Drive with the expert through places; yield each view and its action.
+
+    The last action is STOP at the victim, or None after a failure.
+    """
     most_ticks = RECOVERY_TICKS if purpose == "recovery" else DRIVE_TICKS
     request = ResetRequest(seed=seed, purpose=purpose, driver="expert", max_ticks=most_ticks)
     episode = LockstepEpisode(simulation, request)
@@ -71,7 +77,13 @@ def drive(
     via: Via = (),
     purpose: Purpose = "drive",
 ) -> dict[str, NDArray[Any]]:
-    """Have the expert drive; return the arrays for `drive_of`. ValueError when a drive did not reach the victim."""
+    """Drive with the expert and return the arrays for `drive_of`.
+
+    Raises
+    ------
+    ValueError
+        If the drive does not reach the victim.
+    """
     rows = []
     reached = False
     for view, atom in views_of_expert(simulation, seed, via, purpose):
@@ -105,7 +117,7 @@ def drive(
 
 
 def drive_of(held: dict[str, NDArray[Any]]) -> RecordedDrive:
-    """Return the drive that arrays of `drive` are."""
+    """Convert arrays of `drive` to a drive."""
     recovery = bool(held["recovery"])
     name = f"{'recovery' if recovery else 'drive'}-{held['seed']}"
     jpegs = [jpeg.tobytes() for jpeg in np.split(held["jpegs"], held["jpeg_ends"][:-1])]
@@ -124,13 +136,13 @@ def drive_of(held: dict[str, NDArray[Any]]) -> RecordedDrive:
 
 
 def save_arrays(path: Path, **arrays: NDArray[Any]) -> None:
-    """Write arrays to a file (npz) that is there only when it is complete."""
+    """Write arrays to a file (npz) atomically."""
     with replacing(path) as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
 def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Read the arrays of a file; ValueError names one that cannot be read."""
+    """Read the arrays of a file; raise ValueError with its path if it is damaged."""
     try:
         with np.load(path, allow_pickle=False) as held:
             return {name: held[name] for name in held.files}

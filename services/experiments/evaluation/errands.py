@@ -1,4 +1,4 @@
-"""Errands: what several drives together make possible, and doing what was done most often, or last, does not."""
+"""Tasks that need several drives: replaying the most frequent or the last drive fails."""
 
 import math
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ _SOUTHWARDS = -math.pi / 2.0
 
 @dataclass(frozen=True)
 class TaughtErrand:
-    """One drive: where it begins, where the person lies, what that place is called, and by way of where it leads."""
+    """One taught drive: start, victim, name of the goal, and places on the way."""
 
     start: Pose
     victim: Pose
@@ -32,7 +32,7 @@ class TaughtErrand:
 
 @dataclass(frozen=True)
 class ErrandTask:
-    """What is taught, and what is then asked for, to be found; ``meaning`` is for people."""
+    """Taught drives and the goal to find after them; ``meaning`` describes the task."""
 
     meaning: str
     taught: tuple[TaughtErrand, ...]
@@ -41,7 +41,7 @@ class ErrandTask:
     victim: Pose
 
 
-# Of the world terrace, metres east and north. Two corners of its quarter where drives begin, and one in between.
+# Places of the world terrace, metres east and north: two corners of a block, and one between.
 _WEST = Pose(3.0, 0.0, 0.0)
 _SOUTH_WEST = Pose(0.0, -44.0, _NORTHWARDS)
 _NORTH_WEST = Pose(0.0, 44.0, _SOUTHWARDS)
@@ -50,32 +50,32 @@ _SOUTH = Pose(86.0, -53.6, 0.0)
 _TO_NORTH = TaughtErrand(_WEST, _NORTH, "north")
 _TO_SOUTH = TaughtErrand(_WEST, _SOUTH, "south")
 _JOINED = (TaughtErrand(_SOUTH_WEST, _NORTH, "north"), TaughtErrand(_NORTH_WEST, _SOUTH, "south"))
-_DETOUR = replace(
-    _TO_NORTH, via=((119.0, 0.0), (119.0, 49.0))
-)  # By way of the far corner of the quarter.
+# Through the far corner of the block.
+_DETOUR = replace(_TO_NORTH, via=((119.0, 0.0), (119.0, 49.0)))
 
 TASKS: Final = {
     "shorter way": ErrandTask(
-        "taught a detour, then a shorter way; sent where both lead", (_DETOUR, _TO_NORTH), _WEST, "north", _NORTH
+        "taught a detour, then a shorter route to the same goal", (_DETOUR, _TO_NORTH), _WEST, "north", _NORTH
     ),
     "fork, to the left": ErrandTask(
-        "taught two ways that part; sent to the end of the one", (_TO_NORTH, _TO_SOUTH), _WEST, "north", _NORTH
+        "taught two routes that fork; sent to the end of the first", (_TO_NORTH, _TO_SOUTH), _WEST, "north", _NORTH
     ),
     "fork, to the right": ErrandTask(
-        "the same, sent to the end of the other", (_TO_NORTH, _TO_SOUTH), _WEST, "south", _SOUTH
+        "taught two routes that fork; sent to the end of the second", (_TO_NORTH, _TO_SOUTH), _WEST, "south", _SOUTH
     ),
     "joined, northwards": ErrandTask(
-        "taught two ways that share a stretch; sent from the begin of one to the end of the other",
+        "taught two routes that share a stretch; sent from the start of one to the end of the "
+        "other",
         _JOINED, _NORTH_WEST, "north", _NORTH,
     ),
-    "joined, southwards": ErrandTask("the same, the other way round", _JOINED, _SOUTH_WEST, "south", _SOUTH),
+    "joined, southwards": ErrandTask("the same in the other direction", _JOINED, _SOUTH_WEST, "south", _SOUTH),
 }  # fmt: skip
 
 
 def run_errand(
     world: str, camera: CameraSettings, features: FeatureSettings, errand: str, seeds: range
 ) -> dict[str, Any]:
-    """Teach one errand, and do it with each seed; return how each ended, and the ways driven and taught, metres."""
+    """Teach a task and run it with each seed; return outcomes, driven and taught lengths (m)."""
     task = TASKS[errand]
     made = []
     for number, one in enumerate(task.taught):

@@ -1,4 +1,4 @@
-"""What an evaluation runs, as data: `QUICK` and `FULL`."""
+"""Contents of an evaluation as data: `QUICK` and `FULL`."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -12,18 +12,18 @@ from services.experiments.words import condition
 from services.simulator.opening import BaseKind
 from smal.paper.learning import LearningSettings
 
-DEFAULT_LENGTH: Final = LearningSettings().sequence_length  # Of sequences; the filter has none.
-#: Seeds of what is learned from begin here, as in the README; those of what is recognized beyond all of them.
+DEFAULT_LENGTH: Final = LearningSettings().sequence_length  # Sequence length; the filter has none.
+#: First seed of taught drives, as in the README; the seeds of queries are beyond all of them.
 TEACHING_SEED = 1
 QUERY_SEED = 1000
 RUN_SEED = 1
 CLOUDS_SEED = 100
-JUDGED_TICKS: Final = 4  # From one judged frame to the next: ten a second show nearly the same.
-#: How often the searches of SMAL and of its best peer are done, and errands; and after one drive, by how many drives,
-#: each of which teaches alone.
+JUDGED_TICKS: Final = 4  # Distance of judged frames: ten per second show nearly the same.
+#: Number of searches of SMAL and of its best baseline, and of errands; and number of sets of drives
+#: after one drive, each of which teaches alone.
 RUNS = 10
 TAUGHT = 5
-#: Who searches: a name for people, and how each decides. All have the same drives.
+#: Methods that search, with a name and a description. All learn from the same drives.
 CONTROLLERS: Final = {
     "smal": ("SMAL", "the filter and the planner, at every frame"),
     "teach-and-repeat": (
@@ -32,64 +32,65 @@ CONTROLLERS: Final = {
     ),
     "teach-and-repeat-told": (
         "teach and repeat, told",
-        "the same, told that it begins where the drive began",
+        "the same, with the start of the drive given",
     ),
     "paper": ("the paper's scheme", "a decision every l frames"),
-    "nearest-1": ("imitating the nearest frame", "does what was done at the most alike frame"),
-    "nearest-5": ("imitating the nearest 5 frames", "the same, of five frames in a row"),
+    "nearest-1": ("imitating the nearest frame", "repeats the action at the most similar frame"),
+    "nearest-5": ("imitating the nearest 5 frames", "the same, with five successive frames"),
     "smal-waits": (
         "SMAL, stop and wait",
-        "it sees no depth: its guard alone stops it before what stands there",
+        "without depth: its guard alone stops it before an obstacle",
     ),
-    "smal-unguarded": ("SMAL, avoidance off", "it has no depth camera, and so no guard"),
+    "smal-unguarded": ("SMAL, avoidance off", "without a depth camera, and so without a guard"),
 }
+# Variants of SMAL to compare when there are obstacles.
 _PARTS: Final = (
     "smal-waits",
     "smal-unguarded",
-)  # What SMAL is compared with where something stands in the way.
-_BEST: Final = ("smal", "teach-and-repeat", "teach-and-repeat-told")
-_RECOVERIES: Final = (
-    5  # For each drive of the paper's scheme: 60 for twelve, which were shown to do.
 )
+_BEST: Final = ("smal", "teach-and-repeat", "teach-and-repeat-told")
+# Number per drive, for the paper's scheme: 60 for twelve drives, which proved to be enough.
+_RECOVERIES: Final = 5
+# Light and seasons that differ from the drives.
 VARIATIONS: Final = (
     "dark",
     "overcast",
     "evening",
     "other-day",
-)  # Light and season other than those of the drives.
+)
+# Changed states of the victim.
 ELSEWHERE: Final[tuple[Victim, ...]] = (
     "absent",
     "moved",
     "decoy",
-)  # How the victim can lie otherwise.
-_KIDNAP: Final = (
-    100  # Frame at which robots are carried away: a good way from the start, and far from the goal.
 )
+# Frame of the kidnapping: well after the start, and far from the goal.
+_KIDNAP: Final = 100
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """When a place is recognized: the demonstrated frame that was taken for it was taken so near to the true pose."""
+    """Largest distance and angle between the true pose and the returned frame of a correct answer."""
 
     distance_m: float
     angle_deg: float
 
     @property
     def meaning(self) -> str:
-        """A few words for people."""
+        """Short description."""
         return f"within {self.distance_m:g} m and {self.angle_deg:g}°"
 
 
 @dataclass(frozen=True)
 class RecognizerName:
-    """A way to say which demonstrated frame the robot is at: Eq. 9 of a length, or the nearest frames."""
+    """A recognition method: Eq. 9 with a length, or the nearest frames."""
 
     eq9: bool
     length: int
 
     @property
     def title(self) -> str:
-        """For people."""
+        """Title on the page."""
         if self.eq9:
             return "single image (l = 1)" if self.length == 1 else f"Eq. 9, l = {self.length}"
         return "nearest frame" if self.length == 1 else f"nearest {self.length} frames"
@@ -97,16 +98,16 @@ class RecognizerName:
 
 @dataclass(frozen=True)
 class Trial:
-    """Searches that differ in their seed alone, shared out among sets of drives, each of which teaches alone."""
+    """Searches that differ by seed, divided among sets of drives, each of which teaches alone."""
 
     controller: str
     drives: int
     runs: int
-    length: int = DEFAULT_LENGTH  # Of the paper's scheme.
+    length: int = DEFAULT_LENGTH  # For the paper's scheme.
     degradation: str = "clean"
     variation: str = "day"
     start: Start = "start"
-    kidnap_tick: int = 0  # At which the robot is carried to another place; 0: never.
+    kidnap_tick: int = 0  # Frame at which the robot is kidnapped; 0 for never.
     sets: int = 1
     victim: Victim = "there"
     obstacles: int = 0
@@ -115,23 +116,23 @@ class Trial:
 
     @property
     def hindered(self) -> bool:
-        """Whether something stands in the way that was not there when it was taught."""
+        """Whether there are obstacles that were absent in teaching."""
         return self.obstacles + self.people > 0 or self.blocked
 
     @property
     def recoveries(self) -> int:
-        """Drives from beside the way back to it: without them the paper's scheme knows nothing of where it is off."""
+        """Number of recovery drives: without them the paper's scheme has no states beside the route."""
         return _RECOVERIES * self.drives if self.controller == "paper" else 0
 
     @property
     def title(self) -> str:
-        """Who drives, for people."""
+        """Name of the driver on the page."""
         name, _ = CONTROLLERS[self.controller]
         return f"{name}, l = {self.length}" if self.controller == "paper" else name
 
     @property
     def condition(self) -> str:
-        """What is special about it, in a few words."""
+        """Short description of the condition."""
         own = {
             self.variation: self.variation != "day",
             self.degradation: self.degradation != "clean",
@@ -141,25 +142,25 @@ class Trial:
 
 @dataclass(frozen=True)
 class WorldPlan:
-    """What is done in one world."""
+    """Experiments in one world."""
 
     world: str
-    criterion: Criterion  # Of right recognition, and of a right belief.
-    drives: int = 1  # That recognition is learned from.
-    queries: int = 0  # Held-out drives whose frames are to be recognized, every `JUDGED_TICKS`.
-    lengths: tuple[int, ...] = (DEFAULT_LENGTH,)  # l for precision and recall.
+    criterion: Criterion  # For correct recognition and a correct belief.
+    drives: int = 1  # Number of drives to learn recognition from.
+    queries: int = 0  # Held-out drives whose frames are recognized, every `JUDGED_TICKS`.
+    lengths: tuple[int, ...] = (DEFAULT_LENGTH,)  # Sequence lengths l for precision and recall.
     recognized: tuple[str, ...] = ()  # Degradations of the queries.
     trials: tuple[Trial, ...] = ()
-    errands: bool = False  # Whether those are done too, which only the world ``terrace`` has.
+    errands: bool = False  # Whether to run the errands, which only the world ``terrace`` has.
 
     @property
     def title(self) -> str:
-        """Its name, also where the world is a file."""
+        """Name of the world, also if it is a file."""
         return Path(self.world).stem
 
     @property
     def recognizers(self) -> tuple[RecognizerName, ...]:
-        """Who recognizes: Eq. 9 at all lengths (l = 1 is the single image), the nearest frame, and the nearest five."""
+        """Recognition methods: Eq. 9 at all lengths, the nearest frame, and the nearest five."""
         return (
             *(RecognizerName(True, length) for length in self.lengths),
             RecognizerName(False, 1),
@@ -168,31 +169,31 @@ class WorldPlan:
 
     @property
     def first_judged_tick(self) -> int:
-        """Frame of a held-out drive from which on every method has a whole window, and all are judged."""
+        """First judged frame of a held-out drive, from which every method has a complete window."""
         return max(one.length for one in self.recognizers) - 1
 
 
 @dataclass(frozen=True)
 class EvaluationPlan:
-    """An evaluation; `omitted` is what it leaves out. Searches may take `patience` times the longest taught drive."""
+    """An evaluation, its omissions, and the timeout of a search in longest taught drives (`patience`)."""
 
     name: str
     worlds: tuple[WorldPlan, ...]
     patience: float = 3.0
     camera: tuple[int, int] = (320, 240)
-    base: BaseKind = "physics"  # Of all robots.
+    base: BaseKind = "physics"  # Motion model of all robots.
     omitted: tuple[str, ...] = ()
 
 
 def _usual(runs: int) -> tuple[Trial, ...]:
-    """Return the searches of the best two after one drive: from the start, anywhere beside the way, and kidnapped."""
+    """Return the searches of the best two methods after one drive: start, anywhere, kidnapped."""
     from_start = [Trial(name, 1, runs, sets=min(runs, TAUGHT)) for name in _BEST]
     others = [replace(one, start="anywhere") for one in from_start[:2]]
     return (*from_start, *others, *(replace(one, kidnap_tick=_KIDNAP) for one in from_start[:2]))
 
 
 def _conditions(runs: int) -> tuple[Trial, ...]:
-    """Return those, the same from the start with a poor camera and in other light, and SMAL's without the victim."""
+    """Return these searches, and from the start: a poor camera, other light, SMAL without the victim."""
     spoilt = [{"degradation": "poor"}, *({"variation": name} for name in VARIATIONS)]
     usual = _usual(runs)
     elsewhere = (replace(usual[0], victim=victim) for victim in ELSEWHERE)
@@ -206,7 +207,7 @@ def _conditions(runs: int) -> tuple[Trial, ...]:
 def _trials(
     counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int, ...]
 ) -> tuple[Trial, ...]:
-    """Return searches of all controllers after each number of drives, of the best two under every condition too."""
+    """Return the searches of all controllers by number of drives, and of the best two by condition."""
     each = (
         Trial(name, drives, runs if name in _BEST else others)
         for drives in counts
@@ -233,7 +234,7 @@ FULL: Final = EvaluationPlan(
             )
             for world, criterion in (("indoor", _INDOOR), ("campus", _OUTDOOR))
         ),
-        # A street of houses that look the same, and streets to choose from.
+        # A street of similar houses with junctions.
         WorldPlan("terrace", _OUTDOOR, errands=True, trials=_usual(RUNS)),
     ),
 )  # fmt: skip
@@ -257,7 +258,7 @@ PLANS: Final = {plan.name: plan for plan in (QUICK, FULL)}
 
 
 def with_each(plan: EvaluationPlan, change: Callable[[Trial], Trial]) -> EvaluationPlan:
-    """Return a plan in which each trial is changed; of those that are the same then, one is left."""
+    """Return a plan with each trial changed, without duplicates."""
 
     def changed(trial: Trial) -> Iterator[Trial]:
         yield (made := change(trial))
@@ -272,8 +273,8 @@ def with_each(plan: EvaluationPlan, change: Callable[[Trial], Trial]) -> Evaluat
 
 
 def in_world(world: str, aside_m: float) -> EvaluationPlan:
-    """Return the plan for a world of one's own: SMAL and teach and repeat after one drive, under every condition."""
-    criterion = Criterion(2.0 * aside_m, 25.0)  # Twice as far as searches begin beside the way.
+    """Return the plan for a custom world: SMAL and teach and repeat after one drive, all conditions."""
+    criterion = Criterion(2.0 * aside_m, 25.0)  # Twice the offset of starts beside the route.
     return EvaluationPlan(
         f"in {Path(world).stem}", (WorldPlan(world, criterion, trials=_conditions(RUNS)),)
     )

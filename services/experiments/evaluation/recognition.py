@@ -1,4 +1,4 @@
-"""Recognizing where the robot is, as in the paper's experiments: by Eq. 9, and by the nearest frames."""
+"""Place recognition as in the paper's experiments: by Eq. 9, and by the nearest frames."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -26,7 +26,7 @@ from smal.teaching.demonstration import Demonstration
 def query_drive(
     simulation: Simulation, features: FeatureSettings, seed: int, views: Mapping[str, Degradation]
 ) -> dict[str, NDArray[Any]]:
-    """Have the expert drive what is not learned from: ``poses`` (f, 3), and by each view's name features (f, m)."""
+    """Drive with the expert on held-out ways; return ``poses`` (f, 3) and features (f, m) by view."""
     degraders = {name: Degrader(how, seed) for name, how in views.items()}
     poses: list[tuple[float, float, float]] = []
     kept: dict[str, list[NDArray[np.float32]]] = {name: [] for name in views}
@@ -38,7 +38,7 @@ def query_drive(
 
 
 def recognize_states(model: PaperModel, views: NDArray[np.float32]) -> Matches:
-    """Recognize states (Eq. 9) at each `JUDGED_TICKS`-th view (f, m): frames of all drives, scored as in Eq. 8."""
+    """Recognize states (Eq. 9) at each `JUDGED_TICKS`-th view (f, m), scored as in Eq. 8."""
     length = model.sequence_length
     frame_of = demonstrated_frames(model)
     matches = Matches.none(len(views))
@@ -57,14 +57,17 @@ def recognize_states(model: PaperModel, views: NDArray[np.float32]) -> Matches:
 
 
 def demonstrated_frames(model: PaperModel) -> Callable[[int, float], int]:
-    """Return what tells which frame of all drives a phase of a state is; beyond its template, one that came after."""
+    """Return a function from a state and its phase to the frame among all drives.
+
+    Phases beyond the template map to a later frame of the drive.
+    """
     counts = [len(atoms) for atoms in model.atoms]
     starts = np.cumsum([0, *counts[:-1]])
     ends = [
         start + last_frames(count, model.sequence_length)
         for start, count in zip(starts, counts, strict=True)
     ]
-    # The first sequence of a state is the one that it was made of.
+    # A state is made of its first sequence.
     _, made = np.unique(np.concatenate(model.state_streams), return_index=True)
     begin = np.concatenate(ends)[made] - model.sequence_length + 1
     last = np.repeat(starts + counts - 1, [len(each) for each in ends])[made]
@@ -74,7 +77,10 @@ def demonstrated_frames(model: PaperModel) -> Callable[[int, float], int]:
 def recognize_nearest(
     drives: Sequence[NDArray[np.float32]], views: NDArray[np.float32], length: int
 ) -> Matches:
-    """Match each window of centred features with the most alike one of all drives, none of which spans two."""
+    """Match each window of centred features with the most similar window of all drives.
+
+    Windows do not cross the border of two drives.
+    """
     found = [match_nearest_sequence(each, views, length) for each in drives]
     starts = np.cumsum([0, *map(len, drives[:-1])])
     scores = np.stack([np.where(one.matched, one.score, -np.inf) for one in found])
@@ -88,7 +94,7 @@ def recognize_nearest(
 
 
 class NearestImitation:
-    """Does what was done at the demonstrated frame whose window of last frames is most alike: no states, no plan."""
+    """Repeats the action at the demonstrated frame with the most similar window."""
 
     def __init__(
         self, demonstrations: Sequence[Demonstration], features: FeatureSettings, frames: int = 1
@@ -102,11 +108,11 @@ class NearestImitation:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all frames, for a new episode."""
+        """Forget all frames before a new episode."""
         self._seen: list[NDArray[np.float32]] = []
 
     def step(self, image: NDArray[np.uint8], odometry: Sequence[float] | None = None) -> Atom:
-        """Take one image, (height, width, 3) RGB, and return what to do; the wheels do not count."""
+        """Return the action for an image, (height, width, 3) RGB; the odometry is ignored."""
         del odometry
         self._seen = [*self._seen, self._centering.apply(extract(image, self._features))][
             -self._frames :
@@ -121,7 +127,7 @@ def judged(
     true: NDArray[np.float64],
     criterion: Criterion,
 ) -> dict[str, Any]:
-    """Hold each `JUDGED_TICKS`-th answer against true poses (n, 3), (f, 3); return lists by name, for JSON."""
+    """Compare each `JUDGED_TICKS`-th answer with true poses (n, 3), (f, 3); return lists for JSON."""
     ticks = np.arange(JUDGED_TICKS - 1, len(true), JUDGED_TICKS)
     asked = matches.of(ticks)
     there = true[ticks]

@@ -1,4 +1,4 @@
-"""Results of an evaluation: a file for each unit, named by what determines it, that is there only when it is whole."""
+"""Results of an evaluation: an atomic file per unit, named by a digest of all that determines it."""
 
 import json
 import os
@@ -14,7 +14,7 @@ from smal.files.container import replacing
 
 
 class Results:
-    """The results of some units: ``findings``, and in the folder ``work`` their files; JobError: one is none."""
+    """Results of some units: ``findings``, and their files in the folder ``work``."""
 
     def __init__(self, folder: Path, units: Sequence[Unit]) -> None:
         self.folder = folder
@@ -35,11 +35,11 @@ class Results:
             found: Finding = json.loads(path.read_text(encoding="utf-8"))["finding"]
             missing = found.get("file") and not unit.file(self.work).exists()
         except (ValueError, LookupError, TypeError, AttributeError):
-            raise JobError(f"{path}: is no result; delete it to have it made again") from None
+            raise JobError(f"{path}: invalid result; delete it to compute it again") from None
         return None if missing else found
 
     def add(self, unit: Unit, finding: Finding) -> None:
-        """Write what a unit found out."""
+        """Save the result of a unit."""
         text = json.dumps({"unit": repr(unit), "finding": finding}, allow_nan=False) + "\n"
         with replacing(self._path(unit)) as file:
             file.write(text.encode())
@@ -48,12 +48,10 @@ class Results:
     def complete(
         self, units: Sequence[Unit], engine: Engine, progress: Callable[[int, int], object]
     ) -> None:
-        """Have workers do what is not done, and tell how many are; JobError where one failed: the rest is kept."""
+        """Run the missing units on workers and return their number; after a failure keep the rest."""
         left = [unit for unit in units if unit not in self.findings]
         if left:
-            self._check_shared(
-                engine
-            )  # Where nobody is there to work, this says so before anything is shown.
+            self._check_shared(engine)  # Fails before anything is shown if there are no workers.
         progress(len(self.findings), len(units))
         for unit, found in engine.graph(
             left, partial(timed, self.work.resolve()), lambda unit: unit.needs
@@ -64,21 +62,22 @@ class Results:
                 what = f"{type(unit).__name__.lower()} in {unit.site.world}"
                 kind = "" if isinstance(error, JobError) else f"{type(error).__name__}: "
                 raise JobError(
-                    f"{what}: {kind}{' '.join(str(error).split())}; run again to go on"
+                    f"{what}: {kind}{' '.join(str(error).split())}; run the command again to "
+                    "continue"
                 ) from None
             progress(len(self.findings), len(units))
 
     def _check_shared(self, engine: Engine) -> None:
-        """Raise UsageError where a worker elsewhere does not see the folder."""
+        """Raise UsageError if a remote worker cannot access the folder."""
         for worker, sees in engine.on_each(os.path.isdir, str(self.work.resolve())).items():
             if not sees:
                 raise UsageError(
-                    f"--out {self.folder}: the worker {worker} does not see it; take a shared folder"
+                    f"--out {self.folder}: not found at the worker {worker}; use a shared folder"
                 )
 
 
 def timed(folder: Path, unit: Unit) -> Finding:
-    """Find a unit out, and the processor time that it takes."""
+    """Run a unit and measure its processor time."""
     began_s = time.process_time()
     found = unit.do(folder)
     return found | {"cpu_s": round(time.process_time() - began_s, 3)}

@@ -1,8 +1,8 @@
-"""One search in this process: the same objects as the services use, in lockstep, without messages between them.
+"""One search in this process, with the objects of the services, in lockstep and without messages.
 
-Image, driver, movement, tick after tick. What the services add changes nothing in lockstep: the image is that of the
-camera's JPEG here as there, the world waits for the answer to every frame, and the answer is carried out from that
-frame on. So the same seed gives the same poses (a test says so).
+A tick consists of image, decision and movement. In lockstep the services compute the same: the
+image is the camera's JPEG, the world waits for the answer to every frame, and the answer applies
+from that frame on. A test checks that the same seed gives the same poses.
 """
 
 import math
@@ -29,57 +29,57 @@ from services.simulator.world.route import route_length_m
 from smal.movement import Atom, Motion, placed, seen_from
 from smal.robot import Robot, TaughtPlace
 
-PICTURE_TICKS: Final = 10  # Frames from one kept picture of an example route to the next.
+PICTURE_TICKS: Final = 10  # Spacing of the images of an example route, frames.
 
 
 class Driver(Protocol):
-    """Who drives, and may say where it is (`where`, `lost`), and what ends its run (`said`) or that it is `done`."""
+    """A driver. Optional: position (`where`, `lost`), announcement (`said`), and end (`done`)."""
 
     def reset(self) -> None:
-        """Forget everything of the last episode."""
+        """Reset for a new episode."""
 
     def step(self, image: NDArray[np.uint8], odometry: Sequence[float]) -> Atom | Motion:
-        """Take one image, RGB, and the pose by the wheels; return the movement until the next one."""
+        """Return the movement for an image, RGB, and the pose by odometry."""
 
 
 @dataclass(frozen=True, eq=False)
 class SearchRun:
-    """What happened in one search."""
+    """Record of one search."""
 
     outcome: Outcome  # See `schemas.episode.Episode`.
     poses: NDArray[np.float64]  # (ticks + 1, 3): x, y in metres, heading in radians.
-    atoms: NDArray[np.int8]  # (ticks,), what was done from each frame to the next.
-    clearance_m: NDArray[np.float64]  # (ticks + 1,): from its side to the nearest thing or person.
-    shortest_m: float  # Way from the start to where the victim counts as found.
-    #: Where the robot believed to be at every frame, None where it was lost; empty for one that does not say it.
+    atoms: NDArray[np.int8]  # (ticks,): action from each frame to the next.
+    # (ticks + 1,): from the robot's side to the nearest obstacle or person.
+    clearance_m: NDArray[np.float64]
+    shortest_m: float  # Length of the route from the start to where the victim counts as found.
+    #: Estimated place at every frame, None while lost; empty for drivers without an estimate.
     places: tuple[TaughtPlace | None, ...] = ()
-    pictures: dict[int, NDArray[np.uint8]] = field(
-        default_factory=dict
-    )  # At chosen ticks, (height, width, 3) RGB.
+    # At chosen ticks, (height, width, 3) RGB.
+    pictures: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
     kidnap_tick: int = 0
-    right: bool | None = None  # Whether "not here" was so.
+    right: bool | None = None  # Whether a "not here" was correct.
 
     @property
     def ways(self) -> list[NDArray[np.float64]]:
-        """Its poses; before and after it was carried, which is no driving."""
+        """Poses before and after the kidnapping, which is no driving."""
         return np.split(
             self.poses, [self.kidnap_tick] if 0 < self.kidnap_tick <= len(self.atoms) else []
         )
 
     @property
     def driven_m(self) -> float:
-        """Way driven."""
+        """Driven distance, metres."""
         return float(sum(np.hypot(*np.diff(way[:, :2], axis=0).T).sum() for way in self.ways))
 
     @property
     def turns(self) -> int:
-        """How often it began to turn to a side, at half its turn rate or more."""
+        """Number of starts of a turn, at half the turn rate or more."""
         turning = np.isin(self.atoms, (Atom.LEFT, Atom.RIGHT))
         return int((turning & (np.diff(self.atoms, prepend=Atom.STOP) != 0)).sum())
 
     @property
     def jerk_m_s3(self) -> float:
-        """Root mean square jerk: of third differences of its place over ticks."""
+        """Root mean square jerk, from third differences of the position."""
         jerks = (
             np.concatenate([np.hypot(*np.diff(way[:, :2], 3, axis=0).T) for way in self.ways])
             / TICK_S**3
@@ -88,7 +88,7 @@ class SearchRun:
 
 
 class _Camera:
-    """The robot's camera: degrades its images, and keeps each n-th (0: none)."""
+    """The robot's camera: degrades images and keeps each n-th (0: no image)."""
 
     def __init__(self, degrader: Degrader | None, every: int) -> None:
         self._degrader = degrader
@@ -113,10 +113,18 @@ def search(
     until_said: bool = False,
     waits: bool = False,
 ) -> SearchRun:
-    """Run one search of a driver, with degraded images if so, and keep each `picture_ticks`-th image.
+    """Run one search of a driver.
 
-    With `until_said` the search ends at the driver's announcement. With `waits` the driver gets no depth images: its
-    guard alone keeps it from running into things.
+    Parameters
+    ----------
+    degradation
+        Degradation of the images.
+    picture_ticks
+        Spacing of the images to keep, frames (0: no image).
+    until_said
+        Whether the driver's announcement ends the search.
+    waits
+        Whether to withhold depth images from the driver, so that only its guard avoids obstacles.
     """
     kind = type(driver)
     until_said = until_said and any(hasattr(kind, name) for name in ("said", "done"))
@@ -178,7 +186,15 @@ def _said(driver: Driver) -> Said | None:
 
 
 def finding(found: SearchRun, taught: NDArray[np.float64], criterion: Criterion) -> dict[str, Any]:
-    """Return what a search says, for JSON, by the true poses of all taught frames, (n, 3), and what counts as right."""
+    """Return the result of a search for JSON.
+
+    Parameters
+    ----------
+    taught
+        True poses of all taught frames, (n, 3).
+    criterion
+        Criterion of a correct estimate.
+    """
     aside_m = np.asarray(KDTree(taught[:, :2]).query(found.poses[:, :2])[0], dtype=np.float64)
     said: dict[str, Any] = {
         "outcome": found.outcome,
@@ -207,7 +223,7 @@ def finding(found: SearchRun, taught: NDArray[np.float64], criterion: Criterion)
 
 
 def _right_after_s(right: NDArray[np.bool_]) -> float | None:
-    """Return the time after which the belief is right for a whole second, or to the end; None if never."""
+    """Return the time until the estimate is correct for a second, or to the end; None if never."""
     second = round(1.0 / TICK_S)
     ticks = (tick for tick in range(right.size) if right[tick : tick + second].all())
     return next((round(tick * TICK_S, 1) for tick in ticks), None)

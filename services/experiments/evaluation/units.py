@@ -1,4 +1,4 @@
-"""The units of work that a plan comes to: each is a pure function of its fields and of the units that it needs."""
+"""Units of work of a plan: each is a pure function of its fields and of the units that it needs."""
 
 import hashlib
 import math
@@ -51,19 +51,19 @@ from smal.paper.robot import PaperRobot
 from smal.robot import Robot
 from smal.teaching.mapping import learn as learn_map
 
-Finding = dict[
-    str, Any
-]  # Numbers, texts, lists of them; ``cpu_s`` is the processor time that it took.
+# Numbers, texts and lists; ``cpu_s`` is the processor time.
+Finding = dict[str, Any]
 U = TypeVar("U", bound="Unit")
-FEATURES: Final = FeatureSettings()  # Of all drives and queries.
+FEATURES: Final = FeatureSettings()  # Features of all drives and queries.
+# Settings of the simulator in a trial.
 _ASKED: Final = (
     "start",
     "victim",
     "obstacles",
     "people",
     "blocked",
-)  # What a trial asks of the simulator.
-# Whatever a result depends on; that the report is written differently invalidates nothing.
+)
+# Files that results depend on; the report is not one of them.
 _SOURCES: Final = (
     "smal/**/*.py", "services/simulator/**/*", "services/robot/*.py", "services/expert/*.py",
     "services/experiments/evaluation/*.py",
@@ -78,7 +78,7 @@ def code_fingerprint() -> str:
 
 @dataclass(frozen=True)
 class Site:
-    """Where: a world, what its file holds (another map of the same name is another world); and with what robot."""
+    """A world with the content of its file (equal names can be different maps), and the robot."""
 
     world: str
     content: str
@@ -87,7 +87,7 @@ class Site:
 
     @classmethod
     def of(cls, world: str, camera: tuple[int, int], base: BaseKind) -> "Site":
-        """Return the site of a world, a name or a path."""
+        """Return the site of a world by name or path."""
         path = Path(world)
         return cls(
             world,
@@ -99,31 +99,31 @@ class Site:
 
 @dataclass(frozen=True)
 class Unit(ABC):
-    """A piece of work that is done once, by any process; ``needs`` are the units whose files it reads."""
+    """Work that any process can do once; the files of the units in ``needs`` are its input."""
 
     site: Site
     needs: tuple["Unit", ...]
 
     @property
     def name(self) -> str:
-        """Of its result's files: other fields or needs, or another version of the code, are another result."""
+        """Name of the result files; changes with fields, needs and the version of the code."""
         return hashlib.sha256(f"{code_fingerprint()} {self!r}".encode()).hexdigest()[:24]
 
     def file(self, folder: Path) -> Path:
-        """Return the file that it leaves for others."""
+        """Return the path of the file for other units."""
         return folder / f"{self.name}.data"
 
     @abstractmethod
     def do(self, folder: Path) -> Finding:
-        """Find it out; ``file`` says whether a file was left."""
+        """Do the work and return the result; ``file`` tells whether there is a file."""
 
     def needed(self, kind: type[U]) -> tuple[U, ...]:
-        """Return the needs of one kind."""
+        """Return the needed units of one type."""
         return tuple(one for one in self.needs if isinstance(one, kind))
 
 
-# What a worker keeps open from one unit to the next: two worlds at most are at work at a time, and a model with its
-# inner products may take a gigabyte.
+# Kept open by a worker between units: at most two worlds are in use, and a model with its inner
+# products can take a gigabyte.
 
 
 @lru_cache(maxsize=4)
@@ -158,7 +158,7 @@ def _paper_model(unit: "LearnUnit", folder: Path) -> PaperModel:
 
 @dataclass(frozen=True)
 class Teach(Unit):
-    """Have the expert drive."""
+    """Drive with the expert."""
 
     seed: int
     purpose: Purpose = "drive"
@@ -191,7 +191,7 @@ class LearnUnit(Unit):
 
 @dataclass(frozen=True)
 class Query(Unit):
-    """Drive a way that is not taught, and keep what is seen under every degradation."""
+    """Drive a held-out way and compute features under every degradation."""
 
     degradations: tuple[str, ...]
     seed: int
@@ -199,7 +199,7 @@ class Query(Unit):
     def do(self, folder: Path) -> Finding:
         """Save the features of all views."""
         arrays: dict[str, Any] = {}
-        # Shake moves the camera and not the robot: the way is the same.
+        # Shake moves the camera and not the robot, so the route is the same.
         for shake in dict.fromkeys(DEGRADATIONS[name].shake for name in self.degradations):
             views = {
                 name: DEGRADATIONS[name]
@@ -215,14 +215,14 @@ class Query(Unit):
 
 @dataclass(frozen=True)
 class Recognize(Unit):
-    """Have a method recognize the frames of held-out drives."""
+    """Recognize the frames of held-out drives with a method."""
 
     recognizer: RecognizerName
     degradation: str
     criterion: Criterion
 
     def do(self, folder: Path) -> Finding:
-        """Judge the answers of each drive."""
+        """Evaluate the answers for each drive."""
         taught = _drives(self.needed(Teach), folder)
         found = []
         for query in self.needed(Query):
@@ -245,7 +245,7 @@ class Recognize(Unit):
 
 @dataclass(frozen=True)
 class Searches(Unit):
-    """Have one driver, taught by one of a trial's sets of drives, search under one condition."""
+    """Searches of one driver, taught by one of a trial's sets of drives, under one condition."""
 
     trial: Trial
     which: int
@@ -254,17 +254,17 @@ class Searches(Unit):
 
     @property
     def is_example(self) -> bool:
-        """Whether pictures of a search are kept: SMAL's after one drive, from the start, as it was taught."""
+        """Whether to keep pictures: SMAL after one drive, from the start, as taught."""
         return self.which == 0 and self.trial == Trial(
             "smal", 1, self.trial.runs, sets=self.trial.sets
         )
 
     def do(self, folder: Path) -> Finding:
-        """Search with each seed; save what was seen in the first search of an example that finds the victim."""
+        """Search with each seed; save the pictures of the first successful search of an example."""
         taught = _drives(self.needed(Teach), folder)
         how = DEGRADATIONS[self.trial.degradation]
         trial = self.trial
-        # No day has the clouds of the one of teaching.
+        # The clouds always differ from those in teaching.
         clouds = CLOUDS_SEED + self.which
         depth = trial.hindered and trial.controller != "smal-unguarded"
         simulation = simulation_in(self.site, how.shake, trial.variation, clouds, depth)
@@ -322,7 +322,7 @@ class Searches(Unit):
 
 @dataclass(frozen=True)
 class Errand(Unit):
-    """Do an errand."""
+    """An errand."""
 
     errand: str
     runs: int
@@ -337,7 +337,7 @@ class Errand(Unit):
 
 
 def units(plan: EvaluationPlan) -> list[Unit]:
-    """Return all units of a plan, each once and after those that it needs; the most informative come first."""
+    """Return all units of a plan, each after the units that it needs, the most informative first."""
     found: dict[Unit, None] = {}
 
     def add(unit: Unit) -> None:

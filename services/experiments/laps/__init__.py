@@ -1,1 +1,1 @@
-"""Laps of a real robot: taught on one, asked on all others, open loop."""
+"""Evaluation on laps of a real robot: learn one lap, localize on the others, open loop."""

@@ -1,4 +1,4 @@
-"""One lap teaches, all others are asked, frame by frame and open loop: every method the same, by one truth."""
+"""Learn one lap and localize each frame of the others, open loop, with every method."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -22,21 +22,20 @@ from smal.robot import Localizer
 from smal.teaching.demonstration import Demonstration
 from smal.teaching.mapping import learn
 
-WITHIN: Final = (
-    0.1  # Of a lap: what is right is within it, and probabilities are those of being within it.
-)
-# Above this a robot is lost, and below that sure that it is not.
+# Fraction of a lap within which an answer is correct; probabilities refer to it.
+WITHIN: Final = 0.1
+# A robot is lost above this probability, and confident below that one.
 LOST = 0.5
 SURE = 0.1
-#: What is said of frames (f, 3): the taught frame that each shows, how likely that is, and that the robot is lost. Who
-#: says no frame, or no probability, says NaN.
+#: For each frame (f, 3): the taught frame, its probability, and the probability of being lost. NaN
+#: marks missing values.
 Answers = NDArray[np.float64]
 _Method = Callable[[Demonstration], Answers]
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """Answers (q, 3) to all asked frames, how far off they are, in laps (q,), and figures with 95 % intervals."""
+    """Answers (q, 3) to all queries, their errors in laps (q,), and figures with 95 % intervals."""
 
     answers: Answers
     off: NDArray[np.float64]
@@ -47,20 +46,20 @@ class Judged:
 def ask(
     laps: Sequence[tuple[Demonstration, Lap]], advance: Callable[[str, int, int], None]
 ) -> dict[str, Judged]:
-    """Teach on the first lap, ask on all others, and judge; JobError when nothing can be learned from it."""
+    """Learn the first lap, localize on all others, and evaluate; raise JobError if learning fails."""
     (taught, _), *asked = laps
     found = {}
     for name, method in _methods(taught, advance).items():
         answers = []
         for done, (drive, _) in enumerate(asked, 1):
             answers.append(method(drive))
-            advance(f"asking {name}", done, len(asked))
+            advance(f"localizing with {name}", done, len(asked))
         found[name] = judge(answers, [lap.shows for _, lap in asked], len(taught.atoms))
     return found
 
 
 def judge(answers: Sequence[Answers], truths: Sequence[NDArray[np.intp]], lap: int) -> Judged:
-    """Hold the answers to each lap against its truth, in frames of a taught lap of so many."""
+    """Compare the answers to each lap with the ground truth, in frames of a taught lap."""
     said = np.concatenate(answers)
     frames, likely, lost = said.T
     off = _apart(frames, np.concatenate(truths), lap)
@@ -90,13 +89,13 @@ def judge(answers: Sequence[Answers], truths: Sequence[NDArray[np.intp]], lap: i
 
 
 def _apart(frames: NDArray[Any], others: NDArray[Any] | float, lap: int) -> NDArray[np.float64]:
-    """Return how far frames are from others, as a share of a lap: where it ends it begins again; 1 of no frame."""
+    """Return the circular distances of frames as a share of a lap; 1 for a missing frame."""
     share = np.abs(frames - others) / lap % 1.0
     return np.where(np.isnan(share), 1.0, np.minimum(share, 1.0 - share))
 
 
 def _methods(taught: Demonstration, advance: Callable[[str, int, int], None]) -> dict[str, _Method]:
-    """Return the methods by name; those that go by wheels only where the lap has odometry."""
+    """Return the methods by name; methods by odometry only if the lap has odometry."""
     found: dict[str, _Method] = {
         f"nearest {count}": partial(_nearest, taught, count) for count in (1, 5)
     }
@@ -117,7 +116,7 @@ def _methods(taught: Demonstration, advance: Callable[[str, int, int], None]) ->
 
 
 def _smal(model: Model, asked: Demonstration) -> Answers:
-    """Ask the filter, which goes by odometry if the map does."""
+    """Run the filter, with odometry if the map has it."""
     robot = Localizer(model)
     keyframes = model.mapped.keyframes
     answers = []
@@ -135,7 +134,10 @@ def _smal(model: Model, asked: Demonstration) -> Answers:
 
 
 def _nearest(taught: Demonstration, window: int, asked: Demonstration) -> Answers:
-    """Take the frame whose window, round the closed lap, has the largest sum of cosines; at first it is shorter."""
+    """Return the frame whose window on the closed lap has the largest sum of cosines.
+
+    The first windows are shorter.
+    """
     centering = Centering.fit(taught.rows, JUDGED)
     rows = centering.apply(asked.rows) @ centering.apply(taught.rows).T
     for_each = [
@@ -146,7 +148,7 @@ def _nearest(taught: Demonstration, window: int, asked: Demonstration) -> Answer
 
 
 def _repeating(repeat: TeachAndRepeat, asked: Demonstration) -> Answers:
-    """Ask teach and repeat, told that it begins at the first goal, between which goals it is; somebody else drives."""
+    """Run teach and repeat from the first goal and return its interval between goals, open loop."""
     assert asked.images is not None and asked.odometry is not None  # noqa: S101, PT018 - only such laps are asked
     repeat.reset()
     places = []

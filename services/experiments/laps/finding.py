@@ -1,7 +1,7 @@
-"""Where laps begin and end, and what each of their frames shows of one of them: offline, with what comes later known.
+"""Detection and alignment of laps, offline with the whole recording.
 
-A frame is a vector of what it shows and of how the robot turns, so that half of a squared distance says how unlike two
-frames are: 0 if they are the same, 1 and more if they have nothing in common.
+A frame is a vector of its view and the robot's turn. Half of the squared distance measures how
+unlike two frames are: 0 for equal frames, 1 or more for unrelated frames.
 """
 
 from collections.abc import Sequence
@@ -13,31 +13,33 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 Frames = NDArray[np.float64]
-# Frames of a lap in one of another at most, and what each skipped one costs.
+# Maximum number of frames of one lap per frame of another, and cost of a skipped frame.
 FASTEST = 3
 STEP_COST = 0.05
-FIRST: Final = 0.5  # The first recurrence of views that is so much of the best one is a lap; later ones are several.
-# Most that a lap, and its fifth, is unlike another, in itself and by the median.
+# The first recurrence of views above this share of the best is a lap; later ones are several laps.
+FIRST: Final = 0.5
+# Largest median distance of a lap, and of its first fifth, from another lap and within itself.
 UNLIKE = 0.9
 OF_MEDIAN = 2.0
-TRIED: Final = 16  # Stretches of the drive that are tried as the one that laps are held beside.
+TRIED: Final = 16  # Number of candidate stretches to compare laps with.
 
 
 class Lap(NamedTuple):
-    """A lap: its piece of the drive, its frames from the first to before the last, and what they show."""
+    """A lap: its piece of the drive, its frames [first, last), and their alignment."""
 
     piece: int
     first: int
     last: int
-    shows: NDArray[np.intp]  # Frame of the first lap that was returned, (last - first,).
-    unlike: float  # How unlike they are, as frames are.
+    shows: NDArray[np.intp]  # Frame of the first returned lap, (last - first,).
+    unlike: float  # Distance, as between frames.
 
 
 def find_laps(pieces: Sequence[Frames]) -> list[Lap]:
-    """Return the whole laps in pieces (f, d) of a drive: one in the middle, all others in order; none without any.
+    """Return the laps in pieces (f, d) of a drive: one in the middle, then the others in order.
 
-    One stretch as long as a lap is held beside the whole drive, again and again: whenever the best alignment passes its
-    end, a lap ends. That is done with some, and again with a lap in the middle of those that the best of them finds.
+    The whole drive is aligned repeatedly with a stretch of the length of a lap. A lap ends when the
+    best alignment passes the end of the stretch. The best of several stretches yields a first set
+    of laps; the lap in the middle of the set is the stretch of the final alignment.
     """
     period = _period(pieces)
     stretches = [
@@ -61,7 +63,7 @@ def find_laps(pieces: Sequence[Frames]) -> list[Lap]:
 
 
 def _period(pieces: Sequence[Frames]) -> int:
-    """Return after how many frames views recur: where their products, which fall at first, rise nearly highest."""
+    """Return the period of recurring views: the first high peak of their autocorrelation."""
     longest = max(map(len, pieces))
     sums = np.zeros(longest)
     pairs = np.zeros(longest)
@@ -76,7 +78,7 @@ def _period(pieces: Sequence[Frames]) -> int:
 
 
 def _rounds(pieces: Sequence[Frames], stretch: Frames) -> list[Lap]:
-    """Return the rounds of a stretch that are like it, or like each other; where the first fifth is not, none began."""
+    """Return the rounds of a stretch that resemble it or each other, including their first fifth."""
     found = []
     for number, piece in enumerate(pieces):
         where = aligned(piece, stretch)
@@ -90,7 +92,7 @@ def _rounds(pieces: Sequence[Frames], stretch: Frames) -> list[Lap]:
 
 
 def aligned(frames: Frames, closed: Frames) -> NDArray[np.intp]:
-    """Return which frame of a closed lap (g, d), which begins anew where it ends, each frame (f, d) shows, (f,)."""
+    """Return the frame of a closed lap (g, d) that each frame (f, d) shows, (f,)."""
     unlike = cdist(frames, closed, "sqeuclidean") / 2.0
     came = np.zeros(unlike.shape, dtype=np.intp)
     cost = unlike[0]

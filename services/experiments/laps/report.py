@@ -1,4 +1,4 @@
-"""What came out of laps: a page with its figure, and the numbers as JSON."""
+"""Page of results on laps with its figure, and the numbers as JSON."""
 
 import json
 from collections.abc import Sequence
@@ -19,14 +19,14 @@ from smal.teaching.demonstration import Demonstration
 def write_page(
     folder: Path, source: Path, laps: Sequence[tuple[Demonstration, Lap]], judged: dict[str, Judged]
 ) -> Path:
-    """Write ``index.html`` and ``results.json`` into a folder that is there; the first lap taught. Return the page."""
+    """Write ``index.html`` and ``results.json`` into an existing folder; return the page."""
     (taught, _), *asked = laps
     truth = np.concatenate([lap.shows for _, lap in asked])
     facts = {
         "source": str(source),
         "laps": len(laps),
         "taught": taught.name,
-        "asked frames": len(truth),
+        "localized frames": len(truth),
     }
     written = facts | {"methods": {name: one.figures for name, one in judged.items()}}
     write_whole(folder / "results.json", (json.dumps(written, indent=1) + "\n").encode())
@@ -43,7 +43,7 @@ def write_page(
 
 @styled
 def draw(truth: NDArray[np.intp], judged: dict[str, Judged]) -> Figure:
-    """Draw the answers of SMAL beside the truth, one lap after another, and the reliability of its probabilities."""
+    """Draw the answers of SMAL and the ground truth, lap by lap, and the reliability diagram."""
     shown = [
         (name, one, one.reliability) for name, one in judged.items() if one.reliability is not None
     ]
@@ -51,10 +51,9 @@ def draw(truth: NDArray[np.intp], judged: dict[str, Judged]) -> Figure:
     *panels, last = drawn.subplots(len(shown) + 1, 1)
     for axes, (name, one, reliability), colour in zip(panels, shown, COLOURS, strict=False):
         axes.plot(truth, ".", color=MUTED, ms=2, label="truth")
-        axes.set(title=name, xlabel="asked frame", ylabel="taught frame")
-        kind = np.where(
-            one.answers[:, 2] > LOST, 2, one.off > WITHIN
-        )  # Lost is 2, wrong 1, right 0.
+        axes.set(title=name, xlabel="query frame", ylabel="taught frame")
+        # Lost is 2, wrong 1, correct 0.
+        kind = np.where(one.answers[:, 2] > LOST, 2, one.off > WITHIN)
         for number, (label, mark) in enumerate((("right", "."), ("wrong", "x"), ("lost", "+"))):
             at = np.flatnonzero(kind == number)
             axes.plot(at, one.answers[at, 0], mark, color=COLOURS[2 - number], ms=4, label=label)

@@ -1,4 +1,4 @@
-"""Laps out of a tub of donkeycar or of recordings, as a user's robot would have them."""
+"""Laps from a tub of donkeycar or from recordings."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -21,22 +21,31 @@ from smal.features import Centering, FeatureSettings, select
 from smal.movement import Atom, dead_reckoning, seen_from
 from smal.teaching.demonstration import Demonstration
 
-#: Laps are found and aligned by other features than those that are judged; frames have both.
+#: Features to evaluate. Laps are detected and aligned with other features, so frames have both.
 JUDGED = FeatureSettings()
 _FINDING = FeatureSettings.of(("gist", "thumbnail"))
 HELD: Final = FeatureSettings.of((*JUDGED.modalities, *_FINDING.modalities))
-_TURN_WEIGHT: Final = 0.25  # Turns apart as turns scatter are as unlike as views of cosine .75.
+# A turn difference of one standard deviation counts like a cosine of .75 between views.
+_TURN_WEIGHT: Final = 0.25
 
 
 def read_laps(
     source: Path, advance: Callable[[str, int, int], None]
 ) -> list[tuple[Demonstration, Lap]]:
-    """Find laps in a tub or in recordings, as `find_laps` orders them; UsageError: there is none, JobError: under 3."""
+    """Find laps in a tub or in recordings, ordered as by `find_laps`.
+
+    Raises
+    ------
+    UsageError
+        If the source has no usable drive.
+    JobError
+        If there are fewer than three laps.
+    """
     tub = (source / "manifest.json").is_file()
     tally = Tally()
     with TemporaryDirectory() as folder:
         if tub:
-            # The values of a speed and a turn rate of 1 are unknown.
+            # The units of speed and turn rate are unknown.
             speeds = {"speed": 1.0, "turn_rate": 1.0}
             job = {"format": "donkeycar", "path": str(source), "folder": folder, "robot": "car"}
             run(ImportJob.model_validate(job | speeds), tally)
@@ -54,12 +63,12 @@ def read_laps(
 def laps_of(
     drives: Sequence[Demonstration], *, reckoned: bool = False
 ) -> list[tuple[Demonstration, Lap]]:
-    """Find laps in pieces of drives with the features `HELD`; of a tub, the median lap is made to turn once round."""
+    """Find laps in drives with the features `HELD`; scale the turns of a tub to one turn per lap."""
     drives = [replace(one, features=one.rows) for one in drives if one.images is not None]
     turns = [_turns(one) for one in drives]
     laps = find_laps(_frames(drives, turns)) if drives else []
     if len(laps) < 3:
-        raise JobError(f"views recur in {len(laps)} whole laps; at least 3 are needed")
+        raise JobError(f"found {len(laps)} whole laps; at least 3 are needed")
     if reckoned:
         times = _times_to_turn_once([turns[lap.piece][lap.first : lap.last] for lap in laps])
         drives = [_turning(one, times) for one in drives]
@@ -67,17 +76,18 @@ def laps_of(
 
 
 def _times_to_turn_once(turns: Sequence[NDArray[np.float64]]) -> float:
-    """Return the factor of turns with which the median lap turns once round; JobError when it turns to both sides."""
+    """Return the factor with which the median lap turns once; raise JobError for turns to both sides."""
     round_rad = abs(float(np.median([turn.sum() for turn in turns])))
     if round_rad <= float(np.median([np.abs(turn).sum() for turn in turns])) / 2.0:
         raise JobError(
-            "laps turn to both sides; import it with --speed and --turn-rate, and give that"
+            "laps turn to both sides; import the source with --speed and --turn-rate, and give "
+            "the result"
         )
     return math.tau / round_rad
 
 
 def _turns(drive: Demonstration) -> NDArray[np.float64]:
-    """Return how far it turned left after each frame, (f,): radians by its wheels, or 1 where it only was told to."""
+    """Return the left turn after each frame, (f,): radians by odometry, or 1 for a turn command."""
     turned: NDArray[np.float64]
     if drive.odometry is None:
         turned = 1.0 * (drive.atoms == Atom.LEFT) - (drive.atoms == Atom.RIGHT)

@@ -1,1 +1,1 @@
-"""What `smal match` works on and answers: folders of images, a method with its settings, and a report."""
+"""Parts of `smal match`: sources of images, features, ground truth and reports."""

@@ -1,4 +1,4 @@
-"""Features that were computed before, by what they are of: one file of SQLite in the user's cache folder."""
+"""Cache of computed features by content: one SQLite file in the user's cache folder."""
 
 import hashlib
 import os
@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 from smal.features import FeatureSettings
 
 Features = NDArray[np.float16]
-MOST_IMAGES: Final = (
-    90_000  # Most images; with the usual features they take 2 GB. The oldest go first.
-)
-_AT_ONCE: Final = 500  # Features that are written at a time.
+# Maximum number of images (2 GB with the usual features); the oldest are deleted.
+MOST_IMAGES: Final = 90_000
+_AT_ONCE: Final = 500  # Number of features per write.
 
 
 def cache_file() -> Path:
-    """Return the file, below `$XDG_CACHE_HOME` or `~/.cache`."""
+    """Return the path of the cache file, below `$XDG_CACHE_HOME` or `~/.cache`."""
     return (
         Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         / "smal"
@@ -33,11 +32,10 @@ def cache_file() -> Path:
 
 
 class FeatureCache:
-    """Finds and keeps features of some settings, in threads; where the file cannot be used it says so and goes on."""
+    """Thread-safe cache of features for some settings; reports an unusable file and continues."""
 
-    _said: ClassVar[set[str]] = (
-        set()
-    )  # Of the file, once: references and queries have a cache each.
+    # Reports about the file, once: references and queries each have a cache.
+    _said: ClassVar[set[str]] = set()
 
     def __init__(self, settings: FeatureSettings) -> None:
         self._settings = settings
@@ -48,24 +46,24 @@ class FeatureCache:
             self._open()
 
     def key(self, *data: bytes) -> bytes:
-        """Return what the features of some image files are known by."""
+        """Return the cache key of the features of some image files."""
         parts = [hashlib.sha256(one).digest() for one in data]
         return hashlib.sha256(b"".join(parts) + self._settings.fingerprint.encode()).digest()
 
     def find(self, key: bytes) -> Features | None:
-        """Return features, float16 (m,), if they are known."""
+        """Return cached features, float16 (m,), if any."""
         with self._lock, self._going_on():
             if self._file is None:
                 return None
             query = "SELECT vector, checksum FROM features WHERE key = ?"
             for vector, checksum in self._file.execute(query, (key,)):
                 if zlib.crc32(vector) != checksum or len(vector) != 2 * self._settings.size:
-                    raise sqlite3.DatabaseError("features are not what was written")
+                    raise sqlite3.DatabaseError("checksum of features is wrong")
                 return np.frombuffer(vector, np.float16)
         return None
 
     def keep(self, key: bytes, features: Features) -> Features:
-        """Keep features, and return them."""
+        """Add features to the cache and return them."""
         with self._lock:
             self._new[key] = features
             if len(self._new) >= _AT_ONCE:
@@ -73,7 +71,7 @@ class FeatureCache:
         return features
 
     def close(self) -> None:
-        """Write what is not yet written."""
+        """Write pending features."""
         with self._lock:
             self._write()
             if self._file is not None:
@@ -100,15 +98,13 @@ class FeatureCache:
 
     @contextmanager
     def _going_on(self) -> Iterator[None]:
-        """Where the file cannot be used, say so once and go on without it; begin one that is damaged anew."""
+        """Report an unusable file once and continue without it; replace a damaged file."""
         try:
             yield
         except (sqlite3.Error, OSError) as error:
             self._file = None
             why = str(error)
-            went_on = (
-                "features are computed, and not kept ($XDG_CACHE_HOME may name another folder)"
-            )
+            went_on = "features are not cached; $XDG_CACHE_HOME chooses another folder"
             if isinstance(error, OSError):
                 why = error.strerror or why
             elif isinstance(error, sqlite3.DatabaseError) and not isinstance(
@@ -117,7 +113,7 @@ class FeatureCache:
                 with suppress(sqlite3.Error, OSError):
                     cache_file().unlink()
                     self._open()
-                    went_on = "begun anew"
+                    went_on = "replaced"
             line = f"smal: cache {cache_file()}: {why}; {went_on}\n"
             if line not in self._said:
                 self._said.add(line)

@@ -1,4 +1,4 @@
-"""A page on which a person judges matches, the doubtful ones first, and saves a truth file."""
+"""Page on which a person judges matches, the least certain first, and saves a truth file."""
 
 from typing import Final
 
@@ -9,15 +9,15 @@ from services.experiments import html
 from services.experiments.matching.report import Result, title_of
 from smal.likelihood import evenly
 
-_MATCHES: Final = 200  # Most matches on a page.
-_REFERENCES: Final = 60  # Most references to find a right one by.
+_MATCHES: Final = 200  # Maximum number of matches on a page.
+_REFERENCES: Final = 60  # Maximum number of references on a page.
 
 
 def judging_page(result: Result) -> str:
     """Return the page of some matches."""
     matches = result.matches
     names = [printable(name, 255) for name in result.references.source.frames]
-    # A probability of a half is the most doubtful; other scores only order the matches.
+    # A probability of a half is the least certain; other scores only rank the matches.
     doubt = np.abs(matches.score - 0.5) if result.probable else matches.score
     order = np.argsort(doubt, kind="stable")
     shown = order[matches.matched[order]][:_MATCHES].tolist()

@@ -1,4 +1,4 @@
-"""Matches of two traverses as a picture, and precision over recall beside it."""
+"""Drawing of the matches of two traverses, with the precision-recall curve."""
 
 from typing import Any, Final
 
@@ -24,7 +24,7 @@ def draw_matches(
     quality: MatchQuality | None,
     title: str,
 ) -> Figure:
-    """Draw which reference, of so many, every query frame matches; below it the truth, beside it how good they are."""
+    """Draw the matched reference of every query frame over the ground truth, and the quality."""
     reliability = None if quality is None else quality.reliability
     panels = 1 + (quality is not None) + (reliability is not None)
     figure = Figure(figsize=(2 + 5 * panels, 6))
@@ -62,7 +62,7 @@ def draw_matches(
     if truth is not None or not matches.matched.all():
         figure.legend(
             loc="outside lower center", ncols=4
-        )  # Beside the matches, where it hides none.
+        )  # Beside the matches, so that it hides no point.
     return figure
 
 
@@ -83,7 +83,7 @@ def _draw_points(figure: Figure, axes: Axes, matches: Matches, truth: IntervalTr
     else:
         axes.text(0.5, 0.5, "no match", transform=axes.transAxes, ha="center", color=MUTED)
     if truth is not None:
-        # What the truth says nothing about is neither right nor wrong.
+        # Without ground truth, a match is neither correct nor wrong.
         mark(
             np.flatnonzero(matched & ~truth.judged),
             "not judged",
@@ -104,6 +104,6 @@ def _draw_points(figure: Figure, axes: Axes, matches: Matches, truth: IntervalTr
             zorder=2,
         )
     if (without := np.flatnonzero(~matched)).size:
-        # At the lower edge: they count in the recall, and would go unnoticed.
+        # At the lower edge: they count in the recall, and are easily missed.
         axes.plot(without, np.zeros(without.size), "|", color=MUTED, ms=9, transform=axes.get_xaxis_transform(),
                   clip_on=False, zorder=4, label=f"no match ({without.size})")  # fmt: skip

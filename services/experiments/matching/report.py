@@ -1,4 +1,4 @@
-"""What ``smal match`` answers, as JSON and for people."""
+"""Results of ``smal match`` as JSON, text and g2o."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -19,12 +19,12 @@ from smal.place_recognition import Matches
 from smal.place_recognition.matches import NONE
 from smal.place_recognition.methods import MatchSettings
 
-_SHOWN: Final = 12  # Matches that are printed where no file takes them all.
+_SHOWN: Final = 12  # Number of matches to print if they are not written to a file.
 
 
 @dataclass(frozen=True, eq=False)
 class MatchQuality:
-    """How good matches are: the curve, how reliable probabilities are, and numbers and 95 % intervals by name."""
+    """Quality of matches: curve, reliability, and numbers with 95 % intervals by name."""
 
     curve: PrecisionRecall
     reliability: Reliability | None
@@ -32,7 +32,7 @@ class MatchQuality:
 
     @classmethod
     def of(cls, matches: Matches, truth: IntervalTruth, length: int, *, probable: bool) -> Self:
-        """Hold the answers of a method with windows of this length against a truth."""
+        """Evaluate the matches of a method with windows of this length."""
         judgement = truth.judge(matches)
         judged = int(truth.judged.sum())
         curve = PrecisionRecall.of(judgement)
@@ -54,7 +54,7 @@ class MatchQuality:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What was chosen, and what came out: matches numbered as the sources are; `unsure` ones were left out."""
+    """Settings and results; matches are numbered as the sources, `unsure` counts filtered matches."""
 
     chosen: dict[str, object]
     settings: MatchSettings
@@ -68,7 +68,7 @@ class Result:
 
 
 def in_sources(matches: Matches, references: Traverse, queries: Traverse) -> Matches:
-    """Turn rows of the features, of frames that could be read, into numbers of frames."""
+    """Convert rows of the features of readable frames to frame numbers."""
     count = len(queries.source.frames)
     found = Matches.none(count)
     where = queries.numbers[matches.matched]
@@ -79,7 +79,7 @@ def in_sources(matches: Matches, references: Traverse, queries: Traverse) -> Mat
 
 
 def as_json(result: Result) -> str:
-    """Return the result as ``--json`` writes it."""
+    """Return the result for ``--json``."""
     found = result.matches
     rows = zip(found.reference.tolist(), found.score.tolist(), found.unknown.tolist(), strict=True)
     references = result.references
@@ -111,7 +111,7 @@ def as_json(result: Result) -> str:
 
 
 def as_text(result: Result, written: list[Path]) -> Iterator[str]:
-    """Yield the lines that are printed; `written` are the files of results."""
+    """Yield the printed lines; `written` are the files of results."""
     matches = result.matches
     rows = {
         "chosen": title_of(result),
@@ -134,7 +134,7 @@ def as_text(result: Result, written: list[Path]) -> Iterator[str]:
 
 
 def as_g2o(result: Result) -> str:
-    """Return loops as edges of a pose graph of frames: no shift, the score as information, none of the heading."""
+    """Return loops as edges of a pose graph: no shift, the score as information, 0 for the heading."""
     found = result.matches
     return "".join(
         f"EDGE_SE2 {found.reference[query]} {query} 0 0 0 {found.score[query]:.6g} 0 0 {found.score[query]:.6g} 0 0\n"
@@ -143,7 +143,7 @@ def as_g2o(result: Result) -> str:
 
 
 def title_of(result: Result) -> str:
-    """Return the method and what was chosen of it."""
+    """Return a title of the method and the chosen options."""
     return ", ".join(
         f"{name} {value}" for name, value in result.chosen.items() if value is not None
     )
@@ -152,7 +152,7 @@ def title_of(result: Result) -> str:
 def _why_not_all(result: Result) -> str:
     reasons = {"unsure": result.unsure, "unreadable": len(result.queries.unreadable)}
     reasons["before the first window"] = result.settings.length - 1
-    reasons["like no reference"] = int((~result.matches.matched).sum()) - sum(reasons.values())
+    reasons["unlike every reference"] = int((~result.matches.matched).sum()) - sum(reasons.values())
     said = ", ".join(f"{count} {reason}" for reason, count in reasons.items() if count)
     return f" ({said})" if said else ""
 
@@ -163,7 +163,7 @@ def _frames(traverse: Traverse) -> str:
 
 
 def _some_matches(result: Result) -> Iterator[str]:
-    """Yield a few matches, evenly spread; all of them are for a file."""
+    """Yield a few evenly spaced matches; a file takes all of them."""
     matches = result.matches
     count = result.matches.matched.size
     shown = evenly(count, _SHOWN).tolist()

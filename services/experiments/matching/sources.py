@@ -1,12 +1,12 @@
-"""What a traverse is read from, its frames in order: a folder of images, a video, or a recording of SMAL.
+"""Frames of a traverse in order, from a folder of images, a video, or a recording of SMAL.
 
-A frame of a folder is a file that OpenCV can decode, whatever its name, or one that by its extension should be: so that
-a damaged image keeps its number, and what is known of the frames after it (a truth file) stays right. Hidden files and
-folders in the folder do not count.
+A frame of a folder is a file that OpenCV decodes, or a file with the extension of an image. So a
+damaged image keeps its number, and a truth file stays valid for the frames after it. Hidden files
+and subfolders are ignored.
 
-Colour is what OpenCV's IMREAD_COLOR makes of it: grey becomes three equal channels, of 16 bits the upper 8 are kept,
-transparency is dropped. The orientation that a camera noted in EXIF is ignored in every file, for half of a traverse
-may lack it.
+Colour is that of OpenCV's IMREAD_COLOR: grey becomes three equal channels, 16 bits lose the lower
+8, transparency is dropped. The EXIF orientation is ignored, because often a part of a traverse
+lacks it.
 """
 
 import os
@@ -28,23 +28,24 @@ from services.kit.errors import UsageError
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.reader import read_recording
 
-# Read when OpenCV opens its first video; of a damaged one FFmpeg writes at length.
+# Set before OpenCV opens its first video; FFmpeg writes long reports on damaged videos.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-# The least size that `extract` takes.
+# Smallest size for `extract`.
 LEAST_ROWS = 24
 LEAST_COLUMNS = 32
-MOST_BYTES: Final = 256 * 2**20  # A larger file is no camera's image; it is not read at all.
+MOST_BYTES: Final = 256 * 2**20  # Larger files are no camera images and are not read.
+# First and last bytes of a PNG file.
 _PNG: Final = (
     b"\x89PNG\r\n\x1a\n",
     b"IEND",
-)  # How a PNG file begins, and what every whole one ends with.
-Picture = Path | bytes  # A file, or what stands in one.
+)
+Picture = Path | bytes  # Path or content of a file.
 _COLOR: Final = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
 
 @dataclass(frozen=True)
 class TraverseSource:
-    """Names of frames, in order, and of files that are no images; a picture of each frame, anew with each call."""
+    """Frame names in order, ignored files, and a function that returns the pictures anew."""
 
     path: Path
     frames: tuple[str, ...]
@@ -52,7 +53,7 @@ class TraverseSource:
     pictures: Callable[[], Iterable[Picture]]
 
     def images(self, numbers: Iterable[int]) -> dict[int, NDArray[np.uint8]]:
-        """Return the images, RGB, of those of some frames that can be read."""
+        """Return the readable images, RGB, of some frames."""
         wanted = set(numbers)
         with quiet_opencv():
             read = {
@@ -64,14 +65,15 @@ class TraverseSource:
 
 
 def natural_key(name: str) -> tuple[list[str | int], str]:
-    """Return what names are sorted by: numbers by their value, letters whatever their case, then all characters."""
-    # split with a group alternates text and digits, so that keys compare text with text and number with number.
+    """Return a sort key: numbers by value, letters without case, then all characters."""
+    # With a group, split alternates text and digits, so keys compare text with text and numbers
+    # with numbers.
     parts = re.split(r"([0-9]+)", name.casefold())
     return [int(part) if place % 2 else part for place, part in enumerate(parts)], name
 
 
 def open_source(path: Path, argument: str) -> TraverseSource:
-    """Find the frames that an argument names; UsageError when there is none, RecordingError of a bad recording."""
+    """Find the frames of an argument; raise UsageError if there are none."""
     if not path.is_file():
         return _folder(path, argument)
     return _recording(path) if path.suffix == ".mcap" else _video(path, argument)
@@ -96,7 +98,7 @@ def _folder(path: Path, argument: str) -> TraverseSource:
 
 
 def _may_be_frame(entry: os.DirEntry[str]) -> bool:
-    """Return whether an entry is a file or a broken link, which was meant to be a frame; a pipe could block forever."""
+    """Return whether an entry is a file or a broken link; a pipe can block forever."""
     if entry.name.startswith(".") or entry.is_dir():
         return False
     return entry.is_file() or entry.is_symlink()
@@ -122,19 +124,17 @@ def _jpeg(payload: memoryview) -> bytes:
 
 
 def _video(path: Path, argument: str) -> TraverseSource:
-    """Find the frames of a video by decoding it once: what it says of their number is often not so."""
+    """Find the frames of a video by decoding it once, because the announced number is often wrong."""
     with quiet_opencv():
         video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     times_s = []
     while video.grab():
         times_s.append(video.get(cv2.CAP_PROP_POS_MSEC) / 1000.0)
     if not times_s:
-        neither = "neither a folder of images, nor a recording, nor a video that OpenCV reads"
+        neither = "neither a folder of images, nor a recording, nor a readable video"
         raise UsageError(f"{argument} {path}: {neither}")
     if len(times_s) < (said := int(video.get(cv2.CAP_PROP_FRAME_COUNT))):
-        remark(
-            [f"{path}: only {len(times_s)} of the {said} frames that it should have can be read"]
-        )
+        remark([f"{path}: only {len(times_s)} of {said} announced frames are readable"])
     return TraverseSource(
         path, tuple(f"{time_s:.3f} s" for time_s in times_s), (), partial(_bitmaps, path)
     )
@@ -147,16 +147,16 @@ def _bitmaps(path: Path) -> Iterator[bytes]:
 
 
 def is_named_as_image(name: str) -> bool:
-    """Return whether a file's extension is that of a format that OpenCV knows."""
+    """Return whether OpenCV supports the extension of a file."""
     suffix = Path(name).suffix
     try:
         return suffix.isascii() and len(suffix) > 1 and cv2.haveImageWriter(f"x{suffix}")
-    except cv2.error:  # a format that OpenCV knows and has turned off, as .exr
+    except cv2.error:  # A format that OpenCV has disabled, such as .exr.
         return True
 
 
 def loaded(picture: Picture) -> bytes | None:
-    """Return what stands in a file; None if it cannot be read, or is larger than a camera's."""
+    """Return the content of a file; None if it is unreadable or too large."""
     if isinstance(picture, bytes):
         return picture
     try:
@@ -166,7 +166,7 @@ def loaded(picture: Picture) -> bytes | None:
 
 
 def read_color(picture: Picture) -> NDArray[np.uint8] | None:
-    """Return an image as RGB (height, width, 3), at least 24 rows and 32 columns; None if it cannot be read."""
+    """Return an image as RGB (height, width, 3), at least 24 rows and 32 columns; None if unreadable."""
     bgr = _decoded(picture, _COLOR)
     if bgr is None or bgr.dtype != np.uint8:
         return None
@@ -182,7 +182,7 @@ def read_color(picture: Picture) -> NDArray[np.uint8] | None:
 
 
 def read_depth(picture: Picture) -> NDArray[np.uint16] | None:
-    """Return a depth image, uint16 (height, width) in millimetres; None if it is none or cannot be read."""
+    """Return a depth image, uint16 (height, width) in millimetres; None if unreadable."""
     depth_mm = _decoded(picture, cv2.IMREAD_UNCHANGED)
     if depth_mm is None or depth_mm.dtype != np.uint16 or depth_mm.ndim != 2:
         return None
@@ -191,11 +191,11 @@ def read_depth(picture: Picture) -> NDArray[np.uint16] | None:
 
 def _decoded(picture: Picture, flags: int) -> NDArray[Any] | None:
     data = loaded(picture)
-    # Of a PNG without an end libpng would write on standard error.
+    # libpng reports a PNG without an end on standard error.
     if data is None or (data.startswith(_PNG[0]) and _PNG[1] not in data):
         return None
     try:
-        # From memory: of a truncated file cv2.imread makes a half grey image, cv2.imdecode none.
+        # From memory: for a truncated file cv2.imread returns a half grey image, cv2.imdecode None.
         decoded: NDArray[Any] | None = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except (MemoryError, cv2.error):
         return None
@@ -204,7 +204,7 @@ def _decoded(picture: Picture, flags: int) -> NDArray[Any] | None:
 
 @contextmanager
 def quiet_opencv() -> Iterator[None]:
-    """Keep OpenCV from writing of every damaged file at length; this module names them."""
+    """Silence OpenCV about damaged files, which this module reports."""
     logging = cv2.utils.logging
     before = logging.getLogLevel()
     logging.setLogLevel(logging.LOG_LEVEL_SILENT)

@@ -1,4 +1,4 @@
-"""The features of a traverse: images are decoded and described in parallel, and what was described before is known."""
+"""Features of a traverse: images are decoded and described in parallel, with a cache."""
 
 from collections.abc import Sequence
 from contextlib import closing
@@ -29,7 +29,7 @@ from smal.features.extraction import in_parallel
 
 @dataclass(frozen=True, eq=False)
 class Traverse:
-    """A source, and what of it is compared: raw features (n, m) of readable frames, and their numbers (n,)."""
+    """A source with the raw features (n, m) of its readable frames and their numbers (n,)."""
 
     source: TraverseSource
     features: Features
@@ -37,15 +37,15 @@ class Traverse:
 
     @property
     def unreadable(self) -> list[str]:
-        """Names of the frames that could not be read."""
+        """Names of the unreadable frames."""
         known = set(self.numbers.tolist())
         return [name for number, name in enumerate(self.source.frames) if number not in known]
 
     def say_skipped(self) -> None:
-        """Name on standard error what of the source was skipped."""
+        """Report the skipped files on standard error."""
         skipped = {
             "no images": self.source.others,
-            "unreadable, and kept in the count of frames": self.unreadable,
+            "unreadable (numbers kept)": self.unreadable,
         }
         said = {
             why: f"skipped {len(names)}, {why}: {_named(names)}"
@@ -58,9 +58,8 @@ class Traverse:
 class _Frame(NamedTuple):
     name: str
     key: bytes | None = None
-    read: Sequence[
-        bytes
-    ] = ()  # The colour image, and the depth image if there is such, as in their files.
+    # Content of the colour image and, if any, of the depth image.
+    read: Sequence[bytes] = ()
     known: Features | None = None
 
 
@@ -71,14 +70,12 @@ def describe_frames(
     title: str,
     engine: Engine,
 ) -> Traverse:
-    """Compute the features of frames and, where they need it, of depth images; JobError where that cannot be."""
+    """Compute the features of frames, with depth images if needed; raise JobError if that fails."""
     count = len(source.frames)
     try:
         features = np.zeros((count, settings.size), dtype=np.float16)
     except MemoryError:
-        raise JobError(
-            f"{source.path}: the features of {count} frames do not fit into memory"
-        ) from None
+        raise JobError(f"{source.path}: out of memory for the features of {count} frames") from None
     numbers: list[int] = []
     frames = zip(
         source.frames, *[one.pictures() for one in (source, depth) if one is not None], strict=True
@@ -97,12 +94,12 @@ def describe_frames(
             if depth is None
             else f" with a depth image, of one channel of 16 bits, in {depth.path}"
         )
-        raise JobError(f"{source.path}: no image can be read{without}: {_named(source.frames)}")
+        raise JobError(f"{source.path}: no readable image{without}: {_named(source.frames)}")
     return Traverse(source, features[: len(numbers)], np.array(numbers, np.int64))
 
 
 def _looked_up(cache: FeatureCache, frame: tuple[str, *tuple[Picture, ...]]) -> _Frame:
-    """Return what of a frame is known, or what it takes to describe it; nothing if it cannot be read."""
+    """Return the cached features of a frame, or its content to compute them; None if unreadable."""
     name, *pictures = frame
     read = [data for data in map(loaded, pictures) if data is not None]
     if len(read) < len(pictures):
@@ -115,7 +112,7 @@ def _looked_up(cache: FeatureCache, frame: tuple[str, *tuple[Picture, ...]]) -> 
 def _described(
     path: str, settings: FeatureSettings, frame: _Frame
 ) -> tuple[bytes | None, Features | None]:
-    """Return the raw features of a frame, None if it cannot be read, and by what they are known where they are new."""
+    """Return the raw features of a frame, with the cache key if they are new; None if unreadable."""
     if not frame.read:
         return None, frame.known
     image = read_color(frame.read[0])

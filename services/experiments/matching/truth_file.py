@@ -1,11 +1,11 @@
-"""The truth of two traverses as people have it: which references show the place of a query.
+"""Ground truth of two traverses: the references that show the place of a query.
 
-It is a CSV file in UTF-8 with the columns query, reference_first and reference_last, named in its first line, in any
-order and with others beside them. Frames are counted from 0, and the last reference belongs to the interval. Where both
-references are empty the reference traverse does not show the place. A query without a row is not judged; one that the
-references show several times has several.
+A truth file is a CSV file in UTF-8 with the columns query, reference_first and reference_last in
+any order; other columns are ignored. Frames count from 0, and the interval includes the last
+reference. If both references are empty, no reference shows the place. Queries without a row are not
+evaluated. A query has several rows if references show its place several times.
 
-Or frames of the same name show the same place, or frames that were taken near each other do.
+Alternatively, frames of equal names or nearby positions show the same place.
 """
 
 import csv
@@ -27,14 +27,14 @@ from smal.evaluation.ground_truth import IntervalTruth
 
 COLUMNS: Final = ("query", "reference_first", "reference_last")
 POSE_COLUMNS: Final = ("frame", "x_m", "y_m")
-# Metres of a degree of latitude, and where EXIF has the position of a camera.
+# Metres per degree of latitude, and EXIF tag of the position of a camera.
 _DEGREE_M = 111_195.0
 _GPS = 0x8825
-Positions = NDArray[np.float64]  # x and y of frames in metres (n, 2), NaN where they are not known.
+Positions = NDArray[np.float64]  # x and y of frames in metres (n, 2); NaN if unknown.
 
 
 def read_truth(path: Path, queries: int, references: int) -> IntervalTruth:
-    """Read the file of `--truth` for traverses of so many frames; UsageError names the line and what is wrong."""
+    """Read the file of `--truth` for traverses of these lengths; raise UsageError with the line."""
     intervals: list[tuple[int, int, int]] = []
     judged = np.zeros(queries, dtype=np.bool_)
     unknown = np.zeros(queries, dtype=np.bool_)
@@ -42,9 +42,7 @@ def read_truth(path: Path, queries: int, references: int) -> IntervalTruth:
     def take(row: dict[Any, Any]) -> None:
         query, interval = _interval(row, queries, references)
         if unknown[query] or (judged[query] and interval is None):
-            raise ValueError(
-                f"query {query} has a row already, and one of them says that no reference shows it"
-            )
+            raise ValueError(f"query {query} has several rows, and one of them marks it as unknown")
         judged[query] = True
         unknown[query] = interval is None
         if interval is not None:
@@ -57,7 +55,7 @@ def read_truth(path: Path, queries: int, references: int) -> IntervalTruth:
 def truth_by_names(
     references: Sequence[str], queries: Sequence[str], tolerance: int
 ) -> IntervalTruth:
-    """Take frames of one name for one place, so many frames to both sides as well; others are not judged."""
+    """Match frames of equal names, within a tolerance in frames; other frames are not evaluated."""
     numbers = {name: number for number, name in enumerate(references)}
     last = len(references) - 1
     pairs = [(query, numbers[name]) for query, name in enumerate(queries) if name in numbers]
@@ -72,7 +70,7 @@ def truth_by_names(
 def truth_by_positions(
     references: Positions, queries: Positions, radius_m: float, named: str
 ) -> IntervalTruth:
-    """Take frames within a radius for one place; queries whose position is not known are not judged."""
+    """Match frames within a radius; queries without a position are not evaluated."""
     known = np.flatnonzero(np.isfinite(references[:, 0]))
     judged = np.isfinite(queries[:, 0])
     tree = KDTree(references[known])
@@ -85,14 +83,14 @@ def truth_by_positions(
 
 
 def read_positions(path: Path, frames: int) -> Positions:
-    """Read a file of `--poses`: x_m and y_m of frames, counted from 0. Raises UsageError as `read_truth`."""
+    """Read a file of `--poses`: x_m and y_m by frame, counted from 0."""
     positions = np.full((frames, 2), np.nan)
 
     def take(row: dict[Any, Any]) -> None:
         place = [float(row[name] or "") for name in POSE_COLUMNS[1:]]
         if not all(map(math.isfinite, place)):
             raise ValueError(
-                "x_m and y_m must be finite; leave out the row of a frame whose pose is not known"
+                "x_m and y_m must be finite; leave out the row of a frame without a position"
             )
         positions[_frame(row, "frame", frames)] = place
 
@@ -103,12 +101,12 @@ def read_positions(path: Path, frames: int) -> Positions:
 def gps_positions(
     references: TraverseSource, queries: TraverseSource
 ) -> tuple[Positions, Positions]:
-    """Return where EXIF says that images were taken, metres on one plane; UsageError where none says it."""
+    """Return the EXIF positions of images, metres on one plane; raise UsageError without any."""
     degrees = []
     for source in (references, queries):
         degrees.append(np.array([_latitude_longitude(loaded(one)) for one in source.pictures()]))
         if not np.isfinite(degrees[-1]).any():
-            raise UsageError(f"--truth gps: no image of {source.path} has a position in its EXIF")
+            raise UsageError(f"--truth gps: no EXIF position in the images of {source.path}")
     latitude, longitude = np.nanmean(degrees[0], axis=0)
     scale = _DEGREE_M * np.array([math.cos(math.radians(latitude)), 1.0])
     first, second = (
@@ -140,7 +138,7 @@ def _truth(
     intervals: list[tuple[int, int, int]], judged: NDArray[np.bool_], named: str
 ) -> IntervalTruth:
     if not intervals:
-        raise UsageError(f"{named}: no query has a reference, so that there is nothing to find")
+        raise UsageError(f"{named}: no query has a reference; nothing to find")
     query, first, last = np.array(intervals, dtype=np.int64).T
     return IntervalTruth(query, first, last, judged)
 
@@ -148,11 +146,10 @@ def _truth(
 def _read_table(
     path: Path, option: str, columns: Sequence[str], take: Callable[[dict[Any, Any]], None]
 ) -> None:
-    """Give the rows of a CSV file that has these columns; UsageError names the line in which ValueError is raised."""
+    """Take each row of a CSV file; convert ValueError to UsageError with the line."""
     try:
-        text = path.read_bytes().decode(
-            "utf-8-sig"
-        )  # Spreadsheets begin UTF-8 with a byte order mark.
+        # Spreadsheets begin UTF-8 with a byte order mark.
+        text = path.read_bytes().decode("utf-8-sig")
     except OSError as error:
         raise UsageError(f"{option} {path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
@@ -163,7 +160,8 @@ def _read_table(
         for name in columns:
             if table.fieldnames.count(name) != 1:
                 raise ValueError(
-                    f"needs the column {name} once; the columns are {_quoted(','.join(table.fieldnames))}"
+                    f"needs the column {name} once; the columns are "
+                    f"{_quoted(','.join(table.fieldnames))}"
                 )
         for row in table:
             if None in row:
@@ -178,7 +176,7 @@ def _read_table(
 def _interval(
     row: dict[Any, Any], queries: int, references: int
 ) -> tuple[int, tuple[int, int] | None]:
-    """Return query, and first and last reference of a row, None where there is nothing to find."""
+    """Return query, first and last reference of a row; None for a place without references."""
     query = _frame(row, "query", queries)
     if not any((row[name] or "").strip() for name in COLUMNS[1:]):
         return query, None
@@ -194,7 +192,7 @@ def _frame(row: dict[str, str | None], name: str, count: int) -> int:
         raise ValueError(f"{name} must be a frame's number, counted from 0, got {_quoted(text)}")
     if int(text) >= count:
         raise ValueError(
-            f"{name} {int(text)} is beyond the traverse: it has {count} frames, counted from 0"
+            f"{name} {int(text)} is too large: the traverse has {count} frames, counted from 0"
         )
     return int(text)
 

@@ -1,1 +1,1 @@
-"""What a model has learned, for people: `smal model show`."""
+"""Report of a model: `smal model show`."""

@@ -1,4 +1,4 @@
-"""The drives that a model was taught, found again in recordings: a model keeps features, and no image."""
+"""Taught drives of a model, found in recordings: a model keeps features, but no images."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from smal.teaching.demonstration import Demonstration, drives_to_goals
 
 @dataclass(frozen=True, eq=False)
 class TaughtDrives:
-    """What recordings hold of what a model was taught: drives by number, a line for each that is missing, remarks."""
+    """Taught drives by number, a line for each missing drive, and remarks."""
 
     found: dict[int, Demonstration]
     missing: tuple[str, ...]
@@ -23,7 +23,7 @@ class TaughtDrives:
 
 
 def find_drives(model: Model | PaperModel, recordings: Iterable[Path]) -> TaughtDrives:
-    """Find the drives of a model by the names of their parts, and make sure of them by their frames."""
+    """Find the drives of a model by the names of their parts, and check their frames."""
     shortest = 1 if isinstance(model, Model) else model.sequence_length
     episodes = {episode_of(name) for one in taught_drives(model) for name in one.parts}
     teacher = Teacher(model.feature_settings, shortest, include_runs=True, episodes=episodes)
@@ -46,9 +46,9 @@ def find_drives(model: Model | PaperModel, recordings: Iterable[Path]) -> Taught
 
 
 def _fault(recorded: Demonstration | None, frames: int) -> str:
-    """Return why the recording of this name is not the taught drive of so many frames, if so."""
+    """Return why the recording of this name is not the taught drive of this length, if so."""
     if recorded is None:
-        return "not among the recordings"
+        return "recording not found"
     if len(recorded.atoms) != frames:
         return "the recording of this name is of another drive"
     return "its recording lacks images" if recorded.images is None else ""

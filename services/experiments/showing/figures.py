@@ -1,4 +1,4 @@
-"""The figures of a map: its taught ways, the cost to go, and the belief along a drive."""
+"""Figures of a map: taught ways, cost to go, and the belief along a drive."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -22,7 +22,7 @@ from services.experiments.drawing import (
 )
 from services.experiments.showing.ways import Believed, Ways
 
-MOST_NAMED: Final = len(COLOURS)  # Lines beyond the number of colours look alike; no line is named.
+MOST_NAMED: Final = len(COLOURS)  # With more lines than colours, the lines have no names.
 _LONGEST_NAME: Final = 30
 
 
@@ -37,7 +37,7 @@ def _mark(axes: Axes, at: NDArray[np.float64], marker: str, size: float, **style
 
 @styled
 def draw_ways(ways: Ways, goals: Sequence[str], believed: Mapping[int, Believed]) -> Figure:
-    """Draw the taught ways, joined ways in one panel, and where they part and meet."""
+    """Draw the taught ways with their junctions, connected ways in one panel."""
     groups = [np.flatnonzero(ways.groups == group) for group in range(int(ways.groups.max()) + 1)]
     drawn = figure(0.7 * WIDTH_IN * len(groups) + 1.1)
     panels = list(drawn.subplots(len(groups), 1, squeeze=False)[:, 0])
@@ -89,7 +89,7 @@ def _draw_partings(axes: Axes, ways: Ways, drives: Sequence[int]) -> None:
 
 @styled
 def draw_cost_to_go(ways: Ways, costs: NDArray[np.float64], names: Sequence[str]) -> Figure:
-    """Draw the time to a goal along each drive from which a way leads there."""
+    """Draw the time to a goal along each drive with a route to it."""
     drawn = figure(2.6)
     axes = drawn.add_subplot()
     named = len(names) <= MOST_NAMED
@@ -108,7 +108,7 @@ def draw_cost_to_go(ways: Ways, costs: NDArray[np.float64], names: Sequence[str]
 
 @styled
 def draw_belief(ways: Ways, believed: Believed) -> Figure:
-    """Draw how much of the belief was near the robot, elsewhere, or lost along a drive."""
+    """Draw the parts of the belief near the robot, elsewhere, and lost along a drive."""
     drawn = figure(3.4)
     shares, spread = drawn.subplots(2, 1, sharex=True)
     time_s = np.arange(len(believed.here)) * ways.map.tick_s

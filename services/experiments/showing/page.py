@@ -1,4 +1,4 @@
-"""The page of what a model has learned."""
+"""Page about a model."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import count
@@ -21,7 +21,7 @@ from smal.paper.model import PaperModel
 from smal.planning import cost_to_go
 from smal.teaching.demonstration import Demonstration
 
-_SHOWN: Final = 5  # Frames of a drive that are shown, spread over it.
+_SHOWN: Final = 5  # Number of frames of a drive on the page, evenly spaced.
 
 
 def write_page(
@@ -31,7 +31,7 @@ def write_page(
     drives: TaughtDrives | None,
     advance: html.Advance = lambda _what, _done, _total: None,
 ) -> Path:
-    """Write the page of a model's file, with what recordings hold of it; ValueError names a damaged image's episode."""
+    """Write the page of a model with images from recordings; ValueError names a damaged episode."""
     found = {} if drives is None else drives.found
     taught = [
         {
@@ -74,7 +74,7 @@ def _map(
 
     beliefs = {number: believed(model, ways, number, one, step) for number, one in drives.items()}
     costs = {goal: cost_to_go(ways.map, goal)[0] for goal in goals}
-    atoms = "by the usual movement of atoms, since they are without odometry"
+    atoms = "by usual movements of actions, without odometry"
     return {
         "names": names,
         "caption": f"{counted(len(names), 'drive')} {'by odometry' if ways.map.odometry else atoms}; "

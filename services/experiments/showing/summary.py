@@ -1,4 +1,4 @@
-"""What a model is, in some lines for a terminal."""
+"""Summary of a model in lines of text."""
 
 import math
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from smal.planning import cost_to_go
 
 
 def shared_and_forks(model: PaperModel) -> tuple[int, int]:
-    """Count the states that were seen in at least two episodes, and those that more than one other came after."""
+    """Count the states of at least two episodes, and the states with several successors."""
     episodes: list[set[str]] = [set() for _ in range(model.states)]
     following: list[set[int]] = [set() for _ in range(model.states)]
     for name, stream in zip(model.names, model.state_streams, strict=True):
@@ -27,7 +27,7 @@ def shared_and_forks(model: PaperModel) -> tuple[int, int]:
 
 
 def numbers_of(model: PaperModel) -> dict[str, int]:
-    """Count what was learned; nothing is known to follow dead ends, and where there is a reward, it is above 1e-6."""
+    """Count the learned data: dead ends have no successor, rewards are above 1e-6."""
     return {
         "demonstrations": len(model.names),
         "frames": sum(map(len, model.atoms)),
@@ -43,7 +43,7 @@ def numbers_of(model: PaperModel) -> dict[str, int]:
 
 
 class TaughtSummary(NamedTuple):
-    """A drive that a model was taught: the names of its parts, its frames, and where it led."""
+    """A taught drive: names of its parts, number of frames, and destination."""
 
     parts: tuple[str, ...]
     frames: int
@@ -51,7 +51,7 @@ class TaughtSummary(NamedTuple):
 
 
 def taught_drives(model: Model | PaperModel) -> list[TaughtSummary]:
-    """Return the drives of a model, in their order."""
+    """Return the drives of a model, in order."""
     if isinstance(model, Model):
         each = zip(
             model.mapped.names, model.mapped.frames.tolist(), model.mapped.goals, strict=True
@@ -68,7 +68,7 @@ def taught_drives(model: Model | PaperModel) -> list[TaughtSummary]:
 
 
 def lines(model: Model | PaperModel, file: str, size: int) -> Iterator[str]:
-    """Yield the summary of a model in a file of so many bytes."""
+    """Yield the summary of a model file of a size in bytes."""
     for name, value in facts(model, file, size).items():
         yield f"{name:15}{value}"
     for one in taught_drives(model):
@@ -76,7 +76,7 @@ def lines(model: Model | PaperModel, file: str, size: int) -> Iterator[str]:
 
 
 def facts(model: Model | PaperModel, file: str, size: int) -> dict[str, str]:
-    """Return what a model is, in words, by what it is of."""
+    """Return the properties of a model by heading."""
     found = {
         "model": f"{printable(file)}, {size / 1e6:.1f} MB, checksum {model.checksum[:12]}",
         "scheme": "filter, by a map of views" if isinstance(model, Model) else "paper, by states",
@@ -94,8 +94,8 @@ def _of_map(model: Model) -> dict[str, str]:
         "map": f"{len(taught.keyframes)} keyframes of {counted(len(taught.goals), 'drive')}, {taught.basis.shape[1]} "
         f"components a view, {taught.views.nbytes / 1e6:.1f} MB, {counted(len(taught.stitched), 'joint')}; "
         f"a frame each {taught.tick_s:g} s",
-        "further looks": f"{len(taught.looks)}, learned from runs",
-        "odometry": "yes, in metres" if taught.odometry else "none: goes by what atoms usually do",
+        "view variants": f"{len(taught.looks)}, learned from runs",
+        "odometry": "yes, in metres" if taught.odometry else "none: usual movement of actions",
         "camera": f"{across:.0f} degrees wide{where}",
         "drives": f"{len(taught.goals)}, {len(taught.poses)} frames",
     }
@@ -107,7 +107,7 @@ def _of_paper(model: PaperModel) -> dict[str, str]:
     return {
         "states": f"{model.states} of {counted(model.sequence_length, 'frame')}, {shared} shared by drives, "
         f"{counted(forks, 'fork')}, {counted(numbers['goals'], 'goal state')}",
-        "actions": f"{len(model.actions)} of {model.actions.shape[1]} atoms",
+        "actions": f"{len(model.actions)} of {model.actions.shape[1]} actions",
         "reward": f"in {numbers['reward_states']} of {model.states} states, "
         f"the largest {float(model.reward.max(initial=0.0)):.3g}; discount {model.gamma:g}",
         "templates": f"{model.templates.shape[1]} frames of {model.templates.shape[0]} features, "
@@ -117,7 +117,7 @@ def _of_paper(model: PaperModel) -> dict[str, str]:
 
 
 def goals_of(model: Model) -> list[str]:
-    """Return the names of the goals, each once."""
+    """Return the distinct names of the goals."""
     return list(dict.fromkeys(model.mapped.goals))
 
 

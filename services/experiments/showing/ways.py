@@ -1,4 +1,4 @@
-"""The taught ways of a map: how they lie to each other, where they part and meet, what the filter believes on them."""
+"""Taught ways of a map: arrangement, junctions, and the belief of the filter on them."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from smal.teaching.demonstration import Demonstration
 
 @dataclass(frozen=True)
 class Parting:
-    """Where ways that are shared part (a fork), or meet: the last or first keyframe that is shared, and whose ways."""
+    """A junction of shared ways (fork or merge): its keyframe and the drives."""
 
     fork: bool
     keyframe: int
@@ -26,11 +26,11 @@ class Parting:
 
 
 class Ways:
-    """The taught ways of a map: poses of keyframes (k, 3) and frames (f, 3) in axes that a group of drives shares."""
+    """Taught ways of a map: poses of keyframes (k, 3) and frames (f, 3), with common axes in a group."""
 
     def __init__(self, taught: VisualMap) -> None:
         self.map = taught
-        self.of = taught.key_drives  # (k,) the drive of each keyframe.
+        self.of = taught.key_drives  # (k,) drive of each keyframe.
         self.key_poses = in_common_axes(taught)
         first = np.searchsorted(self.of, taught.drives)
         self.poses = placed(seen_from(taught.poses, taught.key_poses[first]), self.key_poses[first])
@@ -39,19 +39,20 @@ class Ways:
         _, self.groups = connected_components(
             coo_array((np.ones(one.size), (one, other)), (drives, drives)), False
         )
-        #: (k,) whether another drive shows the place too; and how far it is from the start of its drive.
+        #: (k,) whether another drive shares the place; and its distance from the start of its
+        #: drive.
         self.shared = np.isin(np.arange(len(self.of)), taught.stitched)
         arc = taught.arc[taught.keyframes]
         self.way: NDArray[np.float64] = arc - arc[np.searchsorted(self.of, self.of)]
 
     @property
     def unit(self) -> str:
-        """Of lengths."""
-        return "m" if self.map.odometry else "atoms ahead"
+        """Unit of lengths."""
+        return "m" if self.map.odometry else "actions forward"
 
     @cached_property
     def partings(self) -> tuple[Parting, ...]:
-        """Where shared ways part or meet; within a correlation length it is one place."""
+        """Junctions of shared ways; junctions within a correlation length are merged."""
         found: list[Parting] = []
         for one, other in np.unique(self.of[self.map.stitched], axis=0).tolist():
             for fork, keyframe in self._partings_of(one, other):
@@ -72,10 +73,10 @@ class Ways:
         return bool(joined) and apart < self.map.correlation_length
 
     def _partings_of(self, one: int, other: int) -> Iterator[tuple[bool, int]]:
-        """Yield where a drive leaves another (True) or comes to it (False), and the keyframe there.
+        """Yield the keyframes at which a drive leaves another (True) or joins it (False).
 
-        A stretch that is shared goes on where views are alike: over gaps of two correlation lengths. Where either of
-        the drives begins or ends with it, nothing parts or meets.
+        A shared stretch continues over gaps of two correlation lengths. It has no junction where
+        one of the drives starts or ends.
         """
         length = self.map.correlation_length
         last = {drive: self.way[self.of == drive].max() for drive in (one, other)}
@@ -90,19 +91,18 @@ class Ways:
 
 @dataclass(frozen=True, eq=False)
 class Believed:
-    """Where the belief was at each frame of a drive, arrays (f,); what is neither here nor lost was elsewhere."""
+    """Belief at each frame of a drive, arrays (f,); the rest of the probability is elsewhere."""
 
-    here: NDArray[np.float64]  # Probability of being within a correlation length of the robot.
-    lost: NDArray[np.float64]  # Of being nowhere near a taught way.
-    spread: NDArray[
-        np.float64
-    ]  # Standard deviation of the place on this drive and those that are joined to it.
+    here: NDArray[np.float64]  # Probability of a place within a correlation length of the robot.
+    lost: NDArray[np.float64]  # Probability of being off the taught ways.
+    # Standard deviation of the place on this drive and connected drives.
+    spread: NDArray[np.float64]
 
 
 def believed(
     model: Model, ways: Ways, drive: int, one: Demonstration, advance: Callable[[], object]
 ) -> Believed:
-    """Let recognition follow a taught drive of the map from its beginning; advance is called after each frame."""
+    """Run the recognition along a taught drive from its start; advance is called after each frame."""
     localizer = Localizer(model)
     found = []
     first = int(np.searchsorted(ways.map.drives, drive))

@@ -53,22 +53,22 @@ def test_a_model_learns_from_runs_and_goes_back(runs: Path, tmp_path: Path, smal
     before = file.read_bytes()
     status, out, err = smal("learn", runs, "--add", "--out", file, "--json", report)
     assert status == 0, err
-    assert "the map has more looks now" in err
+    assert "map extended with new view variants" in err
     said = json.loads(report.read_text())
     assert (said["taken"], said["runs"], said["judged_by"]) == (True, 4, 2)
     assert len(Model.load(file).mapped.looks) == said["looks"] > 0
     assert [one.read_bytes() for one in versions(file)] == [before]
     status, out, _ = smal("model", "back", file)
     assert (status, file.read_bytes()) == (0, before)
-    assert "0 earlier versions are left" in out
+    assert "0 earlier versions left" in out
 
 
 def test_model_learns_when_runs_have_images_of_another_size(tmp_path: Path, smal: Smal) -> None:
     file = corridor.save_model(tmp_path / "way.smal")
     status, _, err = smal("learn", recorded(tmp_path / "runs", 4, scale=2), "--add", "--out", file)
     assert status == 0, err
-    assert "images of 128x96, and the model has 64x48; all are resized" in err
-    assert "the map has more looks now" in err
+    assert "images of 128x96 differ from 64x48 in the model; all are resized" in err
+    assert "map extended with new view variants" in err
 
 
 def test_model_stays_when_runs_have_images_of_another_shape(tmp_path: Path, smal: Smal) -> None:
@@ -77,7 +77,10 @@ def test_model_stays_when_runs_have_images_of_another_shape(tmp_path: Path, smal
     status, _, err = smal("learn", recorded(tmp_path / "runs", 2, rows=36), "--add", "--out", file)
     assert status == 1
     assert (
-        err.count("images of 64x36, and the model has 64x48: another shape shows another view") == 2
+        err.count(
+            "images of 64x36 differ from 64x48 in the model: another aspect ratio shows another view"
+        )
+        == 2
     )
     assert file.read_bytes() == before
 
@@ -104,7 +107,7 @@ def test_a_model_that_nothing_surprised_stays(tmp_path: Path, smal: Smal) -> Non
         record(folder, list(run(f"run-{number}", 0.0)))
     before = file.read_bytes()
     status, _, err = smal("learn", folder, "--add", "--out", file)
-    assert (status, "no view surprised" in err) == (0, True)
+    assert (status, "no unexpected view" in err) == (0, True)
     assert (file.read_bytes(), versions(file)) == (before, [])
 
 
@@ -137,7 +140,7 @@ def test_model_stays_when_its_earlier_version_is_invalid(
 def test_what_cannot_learn_more_is_named(
     runs: Path, tmp_path: Path, smal: Smal, mistake: Mistake
 ) -> None:
-    assert "it is the model that learns more" in mistake(
+    assert "it is the model to extend" in mistake(
         2, "learn", runs, "--add", "--out", tmp_path / "none.smal"
     )
     file = corridor.save_model(tmp_path / "way.smal")
@@ -146,9 +149,9 @@ def test_what_cannot_learn_more_is_named(
     assert (status, out, "two runs or more" in err.splitlines()[-1]) == (1, "", True)
     other = record(tmp_path, list(run("elsewhere", 0.0, "dock")))
     _, _, err = smal("learn", one, other, "--add", "--out", file)
-    assert "elsewhere is left out: the model has no goal dock" in err
+    assert "elsewhere: left out: the model has no goal dock" in err
     assert "two runs or more" in err.splitlines()[-1]
     assert "--add" in mistake(2, "learn", runs, "--add", "--out", file, "--modalities", "hog")
     corridor.paper_model().save(file)
-    assert "does not learn from runs" in mistake(2, "learn", runs, "--add", "--out", file)
-    assert "no earlier version" in mistake(2, "model", "back", file)
+    assert "cannot learn from runs" in mistake(2, "learn", runs, "--add", "--out", file)
+    assert "earlier version not found" in mistake(2, "model", "back", file)

@@ -36,7 +36,7 @@ def printing(text: str, ending: str = "") -> tuple[str, ...]:
         ),
         (
             printing("", "raise SystemExit(3)"),
-            "the renderer failed: it said nothing; install with deploy/setup.sh",
+            "the renderer failed: no output; install with deploy/setup.sh",
         ),
         (printing("[1]"), "the renderer failed: "),
     ],

@@ -24,8 +24,8 @@ def test_drives_are_exported_and_it_is_said_how_fast_they_were(
     assert status == 0, errors
     assert "drives        2 (1 reached their goal)" in said
     assert f"frames        {2 * len(MADE)} (6 s)" in said
-    assert "velocities    of rescuebot: forward 2 m/s (by its odometry)" in said
-    assert "left 0.785 rad/s (by its odometry)" in said
+    assert "velocities    of rescuebot: forward 2 m/s (by odometry)" in said
+    assert "left 0.785 rad/s (by odometry)" in said
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["out"]
 
 

@@ -26,7 +26,7 @@ def test_a_folder_becomes_recordings_that_teach(smal: Smal, tmp_path: Path) -> N
     assert status == 0
     assert "drives        1 (1 reached dock)" in said
     assert "nominal       2 m/s, 0.8 rad/s" in said
-    assert "atoms         forward 74%, left 12%, right 12%, stop 3%" in said
+    assert "actions       forward 74%, left 12%, right 12%, stop 3%" in said
     assert f"recordings in {out}; next: smal learn {out} --out MODEL" in said
     assert "frames between two ticks are not needed" in errors
     (file,) = out.iterdir()
@@ -55,7 +55,7 @@ def test_missing_packages_are_named_in_one_line(
     ("work", "said"),
     [
         ("crash", "the file is damaged, or hostile"),
-        ("fill", "takes more than 2 GiB of memory"),
+        ("fill", "more than 2 GiB of memory"),
         ("loop", "s of processor time; if it is sound, SMAL_LIMITS=2 doubles the limit"),
     ],
 )

@@ -101,12 +101,12 @@ def test_a_model_with_shared_states_is_learned(
 @pytest.mark.parametrize(
     ("purpose", "outcome", "reason"),
     [
-        ("drive", "collision", "it ended in a collision"),
-        ("drive", "timeout", "it did not reach the victim (timeout)"),
+        ("drive", "collision", "collision"),
+        ("drive", "timeout", "victim not reached (timeout)"),
         (
             "run",
             "found",
-            "the robot drove by itself (--include-runs takes such runs if they found the victim)",
+            "the robot drove by itself (--include-runs takes successful runs)",
         ),
     ],
 )
@@ -135,7 +135,7 @@ def test_a_gap_splits_a_drive(tmp_path: Path) -> None:
     teaching = teach(record(tmp_path, messages)).teaching
     assert [one.name for one in teaching.demonstrations] == ["e[0-9]", "e[13-39]"]
     assert [one.successful for one in teaching.demonstrations] == [False, True]
-    assert teaching.remarks == [f"{tmp_path}/e.mcap: episode e: 1 frames beside gaps are left out"]
+    assert teaching.remarks == [f"{tmp_path}/e.mcap: episode e: 1 frames beside gaps left out"]
 
 
 def test_an_episode_teaches_once(drives: Path, tmp_path: Path) -> None:
@@ -144,7 +144,7 @@ def test_an_episode_teaches_once(drives: Path, tmp_path: Path) -> None:
     teaching = teach(drives, copy, drives / "drive-1.mcap").teaching
     assert len(teaching.demonstrations) == 4
     assert teaching.remarks == [
-        f"{copy}: episode drive-1 is left out: it is in {drives / 'drive-1.mcap'} too"
+        f"{copy}: episode drive-1 left out: already in {drives / 'drive-1.mcap'}"
     ]
 
 
@@ -160,12 +160,11 @@ def test_damaged_recordings_are_named_and_the_rest_teaches(
     learn_paper(lessons=Lessons([drives], tmp_path / "model.smal"), settings=Settings())
     said = capsys.readouterr().err
     (whole,) = read_recording(cut).episodes
-    assert f"smal: {cut}: truncated; the {whole.frames} whole frames are read\n" in said
+    assert f"smal: {cut}: truncated; {whole.frames} complete frames are read\n" in said
     assert f"smal: {foreign}: not an MCAP file\n" in said
     assert f"smal: {drives}/living.mcap.partial: still being recorded;" in said
     assert (
-        f"smal: {drives}/left-behind.mcap.partial: truncated; the 20 whole frames are read\n"
-        in said
+        f"smal: {drives}/left-behind.mcap.partial: truncated; 20 complete frames are read\n" in said
     )
     assert PaperModel.load(tmp_path / "model.smal").successful == (True, True, False, False, False)
     living.seal()

@@ -26,7 +26,7 @@ def test_learning_refuses_depth_in_one_line(tmp_path: Path, command: Callable[..
     depth = FeatureSettings.of(("hog", "depth"))
     with pytest.raises(UsageError) as caught:
         command(lessons=Lessons([path], tmp_path / "model.smal", depth))
-    why = "recordings hold no depth images; omit depth"
+    why = "recordings contain no depth images; omit depth"
     assert str(caught.value) == f"features hog,depth: {why}"
 
 

@@ -174,7 +174,7 @@ def test_missing_recordings_are_named(taught: Path, tmp_path: Path, smal: Smal, 
     page, err = shown(smal, tmp_path / "out", taught / file, "--recordings", folder)
     told = [
         "to-left: the recording of this name is of another drive",
-        "to-right: not among the recordings",
+        "to-right: recording not found",
     ]
     assert [line for line in err.splitlines() if "missing: " in line] == [
         f"smal: missing: {line}" for line in told

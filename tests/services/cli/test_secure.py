@@ -76,9 +76,9 @@ def test_check_names_what_is_wrong(keys: Path, smal: Smal, tmp_path: Path) -> No
     assert status == 1
     said = {line.split()[1].partition(".")[0]: line for line in out.splitlines()}
     for role, words in {
-        "features": "it expired on", "policy": "certificate of operator, not of policy", "robot": "be a router",
-        "router": "does not let its holder be a router", "tracker": "no authority in ca.pem has signed it",
-        "recorder": "its key is another certificate's", "console": "can be read by others",
+        "features": "expired on", "policy": "issued for operator, not for policy", "robot": "act as a router",
+        "router": "does not let its holder act as a router", "tracker": "not signed by an authority in ca.pem",
+        "recorder": "key belongs to another certificate", "console": "readable by other users",
         "recognition": "cannot be read",
     }.items():  # fmt: skip
         assert said[role].startswith("problem"), said[role]
@@ -139,7 +139,7 @@ def test_up_names_a_certificate_of_no_use_before_anything_starts(
     _replace(keys, "operator", days=-1 / 1440)  # Not shown by a stack.
     _replace(keys, "policy", days=-1 / 1440)
     up = ("up", "--world", "yard", "--secure", keys, "--router", tls_endpoint)
-    assert mistake(2, *up).startswith(f"smal: {keys / 'policy.pem'}: it expired on ")
+    assert mistake(2, *up).startswith(f"smal: {keys / 'policy.pem'}: expired on ")
     (keys / "watcher.pem").unlink()
     assert mistake(1, *up).startswith(f"smal: certificate {keys / 'watcher.pem'} not found; ")
 

@@ -99,7 +99,7 @@ def test_a_service_that_hangs_in_starting_is_named(
     ):
         pass
     assert re.fullmatch(r"not ready after \d+ s: recorder \(waiting for ever\)", str(caught.value))
-    assert re.search(r"waiting, \d+ s so far, for recorder", caplog.text)
+    assert re.search(r"waiting for \d+ s for recorder", caplog.text)
     eventually(lambda: not processes_of(robot))
 
 
@@ -126,8 +126,7 @@ def test_a_dead_service_comes_back_with_its_flags(
             Path(f"/proc/{pid}/cmdline").read_bytes() for pid in processes_of(robot)
         )
     eventually(lambda: not processes_of(robot))
-    assert sum("started again" in record.getMessage() for record in caplog.records) == 1
-    assert "it is started again" in caplog.text
+    assert sum("restarting" in record.getMessage() for record in caplog.records) == 1
 
 
 @pytest.mark.zenoh

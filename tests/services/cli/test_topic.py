@@ -47,9 +47,12 @@ def test_info_describes_a_topic_with_its_schema(smal: Smal, name: str) -> None:
     ("changes", "reason"),
     [
         ({"payload": b"\xc1"}, "not msgpack"),
-        ({"key": "smal/stranger/command/teleop"}, "holds a message of rescuebot/command/teleop"),
-        ({"key": "smal/rescuebot/command/policy"}, "holds a message of rescuebot/command/teleop"),
-        ({"key": "smal/rescuebot/\x1b[2J\n"}, "no topic of SMAL"),
+        ({"key": "smal/stranger/command/teleop"}, "contains a message of rescuebot/command/teleop"),
+        (
+            {"key": "smal/rescuebot/command/policy"},
+            "contains a message of rescuebot/command/teleop",
+        ),
+        ({"key": "smal/rescuebot/\x1b[2J\n"}, "not a topic of SMAL"),
     ],
 )
 def test_what_cannot_be_decoded_is_named_as_such(changes: dict[str, object], reason: str) -> None:

@@ -105,7 +105,7 @@ def test_library_shows_known_files_while_it_reads(
 
 
 @pytest.mark.parametrize(
-    ("outcome", "why"), [("collision", "collision"), ("aborted", "did not reach the victim")]
+    ("outcome", "why"), [("collision", "collision"), ("aborted", "victim not reached")]
 )
 def test_library_names_why_a_recording_is_useless(tmp_path: Path, outcome: Any, why: str) -> None:
     record(tmp_path / "drives", list(recorded_messages.episode("drive-1", outcome=outcome)))

@@ -74,9 +74,9 @@ def test_workers_answer_bit_by_bit_as_threads_do_whatever_is_killed_and_are_nobo
         monkeypatch.setattr(engines, "_WORKER_S", 1.0)
         engine.client.cluster.scale(0)
         eventually(lambda: not engine.client.nthreads())
-        with pytest.raises(JobError, match=r"^no worker is left, and none came for 1 s$"):
+        with pytest.raises(JobError, match=r"^all workers ended, and none started within 1 s$"):
             answer()  # It was at a worker that is there no more.
-        with pytest.raises(JobError, match=r"^no worker is left, and none came for 1 s$"):
+        with pytest.raises(JobError, match=r"^all workers ended, and none started within 1 s$"):
             list(engine.map(describe, IMAGES))
     assert multiprocessing.active_children() == []
     assert capfd.readouterr() == ("", "")
@@ -85,10 +85,10 @@ def test_workers_answer_bit_by_bit_as_threads_do_whatever_is_killed_and_are_nobo
 def test_a_scheduler_elsewhere_answers_the_same_to_who_has_the_certificate(
     address: str, keys: Path, tmp_path: Path
 ) -> None:
-    with pytest.raises(UsageError, match="only tls:// will do"):
+    with pytest.raises(UsageError, match="use tls://"):
         Engine(1, "tcp://192.0.2.1:8786")
     with (
-        pytest.raises(JobError, match="cannot be reached, or refuses us"),
+        pytest.raises(JobError, match="cannot connect"),
         Engine(1, address, make_keys(tmp_path / "others")) as one,
     ):
         list(one.map(describe, IMAGES))
@@ -107,7 +107,9 @@ def test_a_scheduler_elsewhere_answers_the_same_to_who_has_the_certificate(
             if one.status == "LISTEN" and one.laddr.port == port
         )
         os.kill(next(pid for pid in found if pid is not None), signal.SIGKILL)
-        with pytest.raises(JobError, match=f"^--scheduler {address}: the scheduler is lost"):
+        with pytest.raises(
+            JobError, match=f"^--scheduler {address}: connection to the scheduler lost"
+        ):
             list(engine.map(describe, IMAGES * 100))
     assert [found["threads"] for found in results.findings.values()] == ["1"]
     corridor.save_model(tmp_path / "here")

@@ -106,9 +106,9 @@ def test_a_data_set_that_is_imported_again_is_the_same_drives(tmp_path: Path) ->
         recording(tmp_path / "recordings", "torn", lost=[10]),
     ]
     _, tally = exported(files, "lerobot", tmp_path / "set")
-    assert "1 gaps are the end of an episode and the beginning of another" in tally.lines()
+    assert "1 gaps split an episode" in tally.lines()
     assert (
-        "the camera's field of view has no place in it; import it with --field-of-view 81.86"
+        "the format cannot store the camera's field of view; import it with --field-of-view 81.86"
         in tally.lines()
     )
     back = brought_back(tmp_path / "set", "lerobot", tmp_path / "back")
@@ -144,8 +144,8 @@ def test_velocities_are_measured_by_the_wheels(share: float, tmp_path: Path) -> 
     nominal, _ = exported(
         [recording(tmp_path / "recordings", share=share)], "folder", tmp_path / "out"
     )
-    assert nominal.speed == (pytest.approx(SPEED, rel=1e-4), "by its odometry")
-    assert nominal.turn_rate == (pytest.approx(TURN_RATE, rel=1e-4), "by its odometry")
+    assert nominal.speed == (pytest.approx(SPEED, rel=1e-4), "by odometry")
+    assert nominal.turn_rate == (pytest.approx(TURN_RATE, rel=1e-4), "by odometry")
     rows = (tmp_path / "out" / "drive.csv").read_text().splitlines()[1:]
     assert {float(row.split(",")[3]) for row in rows} == {share * SPEED, -share * SPEED, 0.0}
 
@@ -163,17 +163,17 @@ def test_a_turn_that_went_ahead_is_exported_so(tmp_path: Path) -> None:
 def test_without_odometry_velocities_are_what_the_user_says(tmp_path: Path) -> None:
     file = recording(tmp_path / "recordings", odometry=False)
     with pytest.raises(
-        JobError, match="episode drive: no odometry says how fast forward is; say it with --speed"
+        JobError, match="episode drive: no odometry for the speed of forward; give it with --speed"
     ):
         exported([file], "rosbag2", tmp_path / "none")
     with pytest.raises(
-        JobError, match="no odometry says how fast left is; say it with --turn-rate"
+        JobError, match="no odometry for the speed of left; give it with --turn-rate"
     ):
         exported([file], "rosbag2", tmp_path / "none", speed=0.5)
     nominal, _ = exported([file], "rosbag2", tmp_path / "out", speed=0.5, turn_rate=1.0)
     assert (nominal.speed.origin, nominal.turn_rate.origin) == (
-        "as --speed says",
-        "as --turn-rate says",
+        "given by --speed",
+        "given by --turn-rate",
     )
     (back,) = brought_back(tmp_path / "out/drive", "rosbag2", tmp_path / "back")
     assert list(atoms_of(back).values()) == list(MADE)
@@ -192,7 +192,7 @@ def test_drives_with_and_without_odometry_are_in_one_folder_and_one_data_set(
     assert [bool(episode.odometry) for episode in back] == [True, False]
     _, tally = exported(files, "lerobot", tmp_path / "set")
     assert (
-        f"{FRAMES} of {2 * FRAMES} frames lack odometry: there is no observation.state"
+        f"{FRAMES} of {2 * FRAMES} frames lack odometry; observation.state is left out"
         in tally.lines()
     )
 
@@ -273,7 +273,7 @@ def test_a_bag_has_what_a_robot_would_have_sent(tmp_path: Path) -> None:
 
 def test_a_time_that_ros_cannot_say_is_one_line(tmp_path: Path) -> None:
     file = recording(tmp_path / "recordings", start_ns=5 * 10**18)
-    with pytest.raises(JobError, match="a time 5000000000 s after 1970, which ROS cannot say"):
+    with pytest.raises(JobError, match="time 5000000000 s after 1970 is too large for ROS"):
         exported([file], "rosbag2", tmp_path / "out")
 
 
@@ -385,12 +385,13 @@ def test_the_statistics_of_a_data_set_are_those_of_its_values(dataset: Path) -> 
 def test_images_that_a_video_has_no_room_for_are_said(tmp_path: Path) -> None:
     odd = {tick: encode_jpeg(np.zeros((49, 65, 3), np.uint8)) for tick in range(FRAMES)}
     with pytest.raises(
-        JobError, match="images of 65x49 pixels: a video has an even number of columns and rows"
+        JobError,
+        match="unsupported image size 65x49: a video needs even numbers of columns and rows",
     ):
         exported([recording(tmp_path / "odd", jpeg=odd)], "lerobot", tmp_path / "none")
     files = [recording(tmp_path / "recordings", f"scale-{scale}", scale=scale) for scale in (1, 2)]
     _, tally = exported(files, "lerobot", tmp_path / "set")
-    assert f"{FRAMES} images have another size than the first, and are left out" in tally.lines()
+    assert f"{FRAMES} images differ in size from the first (left out)" in tally.lines()
 
 
 @pytest.mark.parametrize("form", FORMATS)
@@ -404,7 +405,7 @@ def test_damaged_images_and_a_frame_without_a_movement_are_counted(
     _, tally = exported([file], form, tmp_path / "out")
     assert tally.counts["images are damaged"] == 2
     if form != "rosbag2":
-        assert "1 frames do not tell what was done then, and are left out" in tally.lines()
+        assert "1 frames lack an action (left out)" in tally.lines()
         assert {
             episode.outcome for episode in brought_back(tmp_path / "out", form, tmp_path / "back")
         } == {"aborted"}
@@ -418,5 +419,5 @@ def test_what_cannot_be_read_is_said_and_the_rest_exported(tmp_path: Path) -> No
     noise.write_bytes(np.random.default_rng(1).bytes(1000))
     _, tally = exported([noise, whole, copy], "folder", tmp_path / "out")
     assert f"{noise}: not an MCAP file" in tally.lines()
-    assert f"{copy}: episode drive is left out: it is in {whole} too" in tally.lines()
+    assert f"{copy}: episode drive left out: already in {whole}" in tally.lines()
     assert len(list((tmp_path / "out/drive").iterdir())) == FRAMES

@@ -91,7 +91,7 @@ def test_a_bag_is_imported(kind: str, tmp_path: Path) -> None:
     assert episode.camera is not None
     assert (episode.camera.focal_px, episode.camera.lens) == (pytest.approx(45.0), "plumb_bob")
     assert report.odometry == "of the source"
-    assert "images are those of /camera/image, velocities those of /cmd_vel" in tally.lines()
+    assert "images from /camera/image, velocities from /cmd_vel" in tally.lines()
 
 
 @pytest.mark.parametrize("suffix", ["mcap", "db3"])
@@ -112,13 +112,13 @@ def test_a_bag_without_commands_has_those_of_its_odometry(tmp_path: Path) -> Non
         sources.rosbag2(tmp_path / "bag", command=False), "rosbag2", tmp_path / "out"
     )
     check_drive(episode_of(report))
-    assert "images are those of /camera/image, velocities those of /odom" in tally.lines()
+    assert "images from /camera/image, velocities from /odom" in tally.lines()
 
 
 def test_a_bag_without_odometry_has_a_way_reckoned_from_commands(tmp_path: Path) -> None:
     bag = sources.rosbag2(tmp_path / "bag", odometry=False)
     report, _ = imported(bag, "rosbag2", tmp_path / "out")
-    assert report.odometry == "reckoned from velocities"
+    assert report.odometry == "computed from velocities"
     check_drive(episode_of(report), blurred=3, within_m=0.15)  # a command is up to 0.1 s late
     report, _ = imported(bag, "rosbag2", tmp_path / "without", reckon=False)
     assert (report.odometry, episode_of(report).odometry) == ("none", {})
@@ -148,7 +148,7 @@ def test_velocities_of_a_data_set_can_be_named_and_going_sideways_is_counted(
     wishes = {"velocity": "thrust,yaw", "turn_rate": float(np.radians(1.0))}
     report, tally = imported(dataset, "lerobot", tmp_path / "out", **wishes)
     check_drive(episode_of(report))
-    assert f"{FRAMES} frames go sideways, for which there is no atom" in tally.lines()
+    assert f"{FRAMES} frames go sideways, without a matching action" in tally.lines()
 
 
 def test_a_tub_is_imported(tmp_path: Path) -> None:
@@ -162,7 +162,7 @@ def test_a_tub_is_imported(tmp_path: Path) -> None:
     report, _ = imported(
         tmp_path / "tub", "donkeycar", tmp_path / "metric", speed=4.0, turn_rate=0.8 / 0.3
     )
-    assert report.odometry == "reckoned from velocities"
+    assert report.odometry == "computed from velocities"
     way = episode_of(report)
     assert (way.wheels(15)[0], way.wheels(19)[2]) == (
         pytest.approx(3.0, abs=0.02),
@@ -190,7 +190,7 @@ def test_a_tub_with_the_times_of_its_copying_wants_a_rate(tmp_path: Path) -> Non
     tub = sources.donkeycar(
         tmp_path / "tub", change=lambda record: record.update(_timestamp_ms=3 * record["_index"])
     )
-    with pytest.raises(Exception, match="its times say 333 frames a second"):
+    with pytest.raises(Exception, match="333 frames per second"):
         imported(tub, "donkeycar", tmp_path / "out")
     check_drive(episode_of(imported(tub, "donkeycar", tmp_path / "out", rate_hz=20.0)[0]))
 

@@ -145,7 +145,7 @@ def test_a_playlist_that_calls_itself_a_video_opens_nothing(text: str, tmp_path:
     dataset = sources.lerobot(tmp_path / "set")
     (dataset / VIDEO).rename(tmp_path / "elsewhere.mp4")
     (dataset / VIDEO).write_text(text.format(tmp_path / "elsewhere.mp4"))
-    assert "not a video that can be read" in refused(dataset, "lerobot", tmp_path)
+    assert "not a readable video" in refused(dataset, "lerobot", tmp_path)
 
 
 def png_that_claims(width: int, height: int) -> bytes:
@@ -218,7 +218,11 @@ def test_a_number_of_a_tub_that_is_none_is_counted(field: str, tmp_path: Path) -
         ('"fps": 20', '"fps": 0', "fps: "),
         ('"fps": 20', '"fps": 1e400', "fps: "),
         ('"chunks_size": 1000', '"chunks_size": 0', "chunks_size: "),
-        ('"theta.vel"', '"elbow"', "neither action nor observation.state"),
+        (
+            '"theta.vel"',
+            '"elbow"',
+            "no linear and angular velocity of a base in action or observation.state",
+        ),
         ('"video"', '"float32"', "0 cameras (none)"),
         ('"features"', '"feature"', "features: Field required"),
         (f'"{CAMERA}"', '"../../../../secret"', "lacks the column"),
@@ -249,18 +253,18 @@ def rewrite(dataset: Path, name: str, change: Callable[[dict[str, Any]], object]
         (
             DATA,
             lambda row: row.update(action=[1.0] * (1 + int(20 * row["timestamp"]) % 3)),
-            "not equally long",
+            "differ in length",
         ),
         (DATA, lambda row: row.update(action="go"), "is not a column of numbers"),
         (DATA, lambda row: row.update(timestamp="now"), "is not a column of numbers"),
         (DATA, lambda row: row.pop("timestamp"), "lacks the column timestamp"),
-        (EPISODES, lambda row: row.update(episode_index=-1), "not numbers from 0 on"),
+        (EPISODES, lambda row: row.update(episode_index=-1), "not numbered from 0"),
         (EPISODES, lambda row: row.update({"data/file_index": 7}), "no such file"),
         (EPISODES, lambda row: row.update({f"videos/{CAMERA}/file_index": 10**15}), "no such file"),
         (
             EPISODES,
             lambda row: row.update({f"videos/{CAMERA}/from_timestamp": np.nan}),
-            "not numbers from 0 on",
+            "not numbered from 0",
         ),
         (EPISODES, lambda row: row.update({"data/chunk_index": 1e300}), "file name too long"),
     ],
@@ -306,7 +310,7 @@ def test_catalog_is_read_once_when_the_manifest_repeats_it(
     monkeypatch.setattr(Inside, "lines", counted)
     report, tally = imported(tub, "donkeycar", tmp_path / "out")
     assert len(read) == 1
-    assert tally.counts["names of catalogs are repeated, which are read once"] == 999
+    assert tally.counts["names of catalogs are repeated (read once)"] == 999
     assert report.ticks == len(MADE)
 
 
@@ -316,7 +320,7 @@ def test_episode_is_read_once_when_it_is_described_again(tmp_path: Path) -> None
     (dataset / "meta/episodes.jsonl").write_text(lines * 50)
     report, tally = imported(dataset, "lerobot", tmp_path / "out")
     assert len(report.files) == 2
-    assert tally.counts["episodes are described again, which are read once"] == 98
+    assert tally.counts["episodes are described again (read once)"] == 98
 
 
 def test_a_bag_whose_end_is_missing_gives_its_whole_messages(tmp_path: Path) -> None:
@@ -324,32 +328,32 @@ def test_a_bag_whose_end_is_missing_gives_its_whole_messages(tmp_path: Path) -> 
     (bag / "bag.mcap").write_bytes((bag / "bag.mcap").read_bytes()[:-30])
     report, tally = imported(bag, "rosbag2", tmp_path / "out")
     assert report.ticks == len(MADE)
-    assert "bag.mcap: its end is missing; the whole messages are read" in tally.lines()
+    assert "bag.mcap: end missing; only complete messages are read" in tally.lines()
 
 
 @pytest.mark.parametrize(
     ("statement", "said"),
     [
-        ("DROP TABLE messages", "no tables of topics and messages"),
+        ("DROP TABLE messages", "tables of topics and messages not found"),
         ("ALTER TABLE messages RENAME TO real; CREATE VIEW messages AS WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL "
          "SELECT n + 1 FROM r) SELECT n AS id, 1 AS topic_id, n AS timestamp, zeroblob(9) AS data FROM r",
-         "no tables of topics and messages"),
+         "tables of topics and messages not found"),
         ("CREATE TABLE stored AS SELECT * FROM messages; DROP TABLE messages; CREATE TABLE messages (id INTEGER, "
          "topic_id INTEGER, timestamp INTEGER, raw BLOB, data BLOB AS (hex(zeroblob(length(raw)))) VIRTUAL); "
          "INSERT INTO messages SELECT id, topic_id, timestamp, data FROM stored",
          "the column data of messages is computed, not stored"),
         ("DROP TABLE messages; CREATE VIRTUAL TABLE messages USING fts4(topic_id, timestamp, data)",
-         "no tables of topics and messages"),
+         "tables of topics and messages not found"),
         ("CREATE TABLE stored AS SELECT * FROM messages; DROP TABLE messages; CREATE TABLE messages (id INTEGER, "
          "topic_id INTEGER, timestamp INTEGER); INSERT INTO messages SELECT id, topic_id, timestamp FROM stored; "
          "ALTER TABLE messages ADD COLUMN data BLOB DEFAULT X'" + "00" * 100_000 + "'",
          "its messages are larger than the file"),
-        ("UPDATE topics SET serialization_format = 'json'", "topics are json, not ROS 2's CDR"),
-        ("UPDATE topics SET type = 'std_msgs/msg/String'", "no topic of image"),
-        ("UPDATE messages SET data = X'0001'", "no topic of velocity"),
-        ("UPDATE messages SET data = X'28B52FFD00'", "no topic of velocity"),
-        ("UPDATE messages SET timestamp = 'x'", "no topic of image"),
-        ("UPDATE messages SET topic_id = 99", "no topic of image"),
+        ("UPDATE topics SET serialization_format = 'json'", "unsupported encoding json of topics, not ROS 2's CDR"),
+        ("UPDATE topics SET type = 'std_msgs/msg/String'", "topic of image"),
+        ("UPDATE messages SET data = X'0001'", "topic of velocity"),
+        ("UPDATE messages SET data = X'28B52FFD00'", "topic of velocity"),
+        ("UPDATE messages SET timestamp = 'x'", "topic of image"),
+        ("UPDATE messages SET topic_id = 99", "topic of image"),
         ("UPDATE topics SET type = 'sensor_msgs/msg/Image' WHERE name = '/odom'", "several topics of image"),
     ],
     ids=lambda text: text[:60],
@@ -371,7 +375,7 @@ def test_a_packed_message_that_unpacks_to_all_memory_is_named(tmp_path: Path) ->
             "UPDATE messages SET data = ? WHERE id = 3", (ZstdCompressor().compress(bytes(2**26)),)
         )
     database.close()
-    assert "a packed message of more than" in refused(bag, "rosbag2", tmp_path)
+    assert "packed message too large (more than" in refused(bag, "rosbag2", tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -380,8 +384,8 @@ def test_a_packed_message_that_unpacks_to_all_memory_is_named(tmp_path: Path) ->
         ("", "lacks the columns"),
         ("image,time_s\n", "lacks the columns angular_rad_s, linear_m_s"),
         ("image,time_s,linear_m_s,angular_rad_s\n", "no row has"),
-        ("image,time_s,linear_m_s,angular_rad_s\n" + "x" * 2_000_000, "a line of more than"),
-        ('image,time_s,linear_m_s,angular_rad_s\n"' + ("x" * 900 + "\n") * 900, "no CSV"),
+        ("image,time_s,linear_m_s,angular_rad_s\n" + "x" * 2_000_000, "line too long (more than"),
+        ('image,time_s,linear_m_s,angular_rad_s\n"' + ("x" * 900 + "\n") * 900, "not CSV"),
         (
             "image,time_s,linear_m_s,angular_rad_s\n0.jpg,nan,1,0\n0.jpg,0,inf,0\n0.jpg,1e999,1,0\n",
             "no row has",
@@ -405,10 +409,10 @@ def test_a_table_that_says_nonsense_is_named(text: str, said: str, tmp_path: Pat
 
 def test_a_folder_of_bags_and_a_recording_of_our_own_are_no_bag(tmp_path: Path) -> None:
     bag = sources.rosbag2(tmp_path / "bags/monday")
-    assert "monday in it is a bag: import each by itself" in refused(
+    assert "monday in it is a bag: import each bag separately" in refused(
         tmp_path / "bags", "rosbag2", tmp_path
     )
     report, _ = imported(bag, "rosbag2", tmp_path / "recordings")
     said = refused(Path(report.files[0]), "rosbag2", tmp_path)
-    assert "it has: none; " in said
-    assert "topics are json, not ROS 2's CDR" in said
+    assert "among none; " in said
+    assert "unsupported encoding json of topics, not ROS 2's CDR" in said

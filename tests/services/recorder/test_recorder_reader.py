@@ -138,7 +138,8 @@ def test_a_file_cut_anywhere_is_read_but_for_the_second_that_is_cut(tmp_path: Pa
             assert np.abs(decode_image(bytes(payload)).astype(int) - pixels(tick)).max() <= 4
         read.append(only.frames)
     assert complaints == {
-        f"{cut}: {reason}" for reason in ("empty", "not an MCAP file", "holds no episode")
+        f"{cut}: {reason}"
+        for reason in ("empty", "not an MCAP file", "no episode in this recording")
     }
     assert read == sorted(read)
     assert len(set(read)) == 3

@@ -269,7 +269,7 @@ def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
         "killed-2.mcap",
         "killed.mcap",
     ]
-    assert f"sealed {tmp_path}/killed.mcap, which was left behind" in log
+    assert f"sealed {tmp_path}/killed.mcap, left by a killed recorder" in log
     assert contents(tmp_path / "before.mcap") == wanted(before)
     assert contents(tmp_path / "killed.mcap") == wanted(killed[:50])
     assert contents(tmp_path / "killed-2.mcap") == wanted(killed)
@@ -350,14 +350,14 @@ def test_who_drives_is_told_in_time_and_a_drive_is_sealed_before_the_disk_is_ful
         assert recorder.detail()["disk"] is None, "690 seconds are left"
         room.free -= 120 * IMAGE
         room.drive(recorder, range(10, 20))
-        assert recorder.detail()["disk"] == "the disk has room for 9 minutes more"
+        assert recorder.detail()["disk"] == "disk almost full: space for 9 minutes of recording"
         room.free -= 500 * IMAGE
         room.drive(recorder, range(20, 26))
-        assert recorder.detail()["disk"] == "the disk has room for 50 seconds more"
+        assert recorder.detail()["disk"] == "disk almost full: space for 50 seconds of recording"
         room.drive(recorder, range(26, 90))
         detail = recorder.detail()
-        assert str(detail["disk"]).startswith("the disk is full (")
-        assert str(detail["last_error"]) == f"{detail['disk']}; what was before is sealed"
+        assert str(detail["disk"]).startswith("disk full (")
+        assert str(detail["last_error"]) == f"{detail['disk']}; earlier messages are sealed"
         whole = contents_of(tmp_path / "e.mcap")
         assert (whole.state, whole.damage) == ("sealed", [])
         assert whole.episodes[0].frames + int(str(detail["lost"])) == 90
@@ -365,7 +365,7 @@ def test_who_drives_is_told_in_time_and_a_drive_is_sealed_before_the_disk_is_ful
         room.free = LEAST_BYTES - 1
         recorder.handle(event("next", 0, "started"))
         assert str(recorder.detail()["last_error"]).startswith(
-            "cannot record episode next: the disk is full"
+            "cannot record episode next: disk full"
         )
         room.free = 2 * LEAST_BYTES
         recorder.handle(event("last", 0, "started"))
@@ -375,7 +375,7 @@ def test_who_drives_is_told_in_time_and_a_drive_is_sealed_before_the_disk_is_ful
             full.setattr("services.recordings.sink.Sink.write", no_space)
             recorder.handle(image("last", 0))
             recorder.look_after_files()
-        assert recorder.detail()["disk"] == "No space left on device: no more is recorded"
+        assert recorder.detail()["disk"] == "No space left on device: recording stopped"
         monkeypatch.setattr("services.recorder.service._SETTLE_S", 0.0)  # its clock stands still
         recorder.stop(Nothing())
         recorder.close()

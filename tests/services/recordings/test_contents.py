@@ -105,7 +105,7 @@ def test_the_command_tells_it_and_names_what_is_no_recording(tmp_path: Path, sma
     (tmp_path / "notes.mcap").write_text("shopping list")
     status, text, why = smal("recording", "info", tmp_path)
     assert status == 1
-    assert "found (says the operator)" in text
+    assert "found (judged by the operator)" in text
     assert why == f"smal: {tmp_path / 'notes.mcap'}: not an MCAP file\n"
 
 
@@ -126,9 +126,9 @@ def test_each_kind_of_fault_is_one_line(tmp_path: Path, smal: Smal) -> None:
     status, told, _ = smal("recording", "verify", one)
     assert status == 1
     assert told.splitlines() == [
-        f"{one}: episode e: camera/jpeg: 1 of 6 do not decode: tick 9: not a JPEG image",
-        f"{one}: episode e: pose/truth: 1 are there twice, the first of tick 3",
-        f"{one}: episode e: its end was not recorded",
+        f"{one}: episode e: camera/jpeg: 1 of 6 cannot be decoded: tick 9: not a JPEG image",
+        f"{one}: episode e: pose/truth: 1 duplicates, the first at tick 3",
+        f"{one}: episode e: end not recorded",
         f"{one}: episode e: camera/jpeg lacks 2",
     ]
 
@@ -184,9 +184,9 @@ def test_nothing_is_overwritten_but_when_told_to(tmp_path: Path, smal: Smal) -> 
     status, _, why = smal("recording", "repair", partial, "--out", other)
     assert (status, why) == (
         2,
-        f"smal: --out {other}: is there already; give another name, or --replace\n",
+        f"smal: --out {other}: already exists; choose another name, or give --replace\n",
     )
-    with pytest.raises(JobError, match="is there already"):
+    with pytest.raises(JobError, match="already exists"):
         repair([partial], other)
     path = usual_name(partial, replace=False)
     assert path == tmp_path / "e-2.mcap"
@@ -202,12 +202,12 @@ def test_nothing_is_overwritten_but_when_told_to(tmp_path: Path, smal: Smal) -> 
     assert usual_name(path, replace=False) == tmp_path / "e-2-repaired.mcap"
     repair([path], usual_name(path, replace=True), replace=True)
     assert len(read_all(path)) == len(sent)
-    assert repair([path], path)[1] is None, "nothing is to be repaired"
+    assert repair([path], path)[1] is None, "no repair needed"
 
 
 def test_two_episodes_are_not_made_one(tmp_path: Path) -> None:
     two = [record(tmp_path, list(episode(name))) for name in ("e", "other")]
-    with pytest.raises(JobError, match="is of episode other"):
+    with pytest.raises(JobError, match="episode other differs"):
         repair(two, tmp_path / "both.mcap")
 
 
@@ -226,6 +226,6 @@ def test_what_is_still_recorded_or_holds_nothing_is_refused(tmp_path: Path) -> N
         with pytest.raises(RecordingError, match=why):
             repair([tmp_path / "bad.mcap"], tmp_path / "out.mcap")
     (tmp_path / "bad.mcap").write_bytes(writer.path.read_bytes()[:60])
-    with pytest.raises(JobError, match="holds nothing of an episode to save"):
+    with pytest.raises(JobError, match="no messages of an episode to save"):
         repair([tmp_path / "bad.mcap"], tmp_path / "out.mcap")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.mcap", "e.mcap"]

@@ -287,7 +287,7 @@ def test_what_is_being_recorded_or_foreign_is_let_be(tmp_path: Path) -> None:
         writer.finish()
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     for path in (foreign, other):
-        with pytest.raises(LeftoverError, match="it is not the recording of an episode"):
+        with pytest.raises(LeftoverError, match="not the recording of an episode"):
             seal_leftover(path)
     with pytest.raises(BlockingIOError):
         seal_leftover(partial_of(living.path))
@@ -307,7 +307,7 @@ def test_a_leftover_that_is_damaged_before_its_end_stays_as_it_is_for_repair(
     content[second - 6] ^= 0xFF  # its length
     partial.write_bytes(content)
     with pytest.raises(
-        LeftoverError, match=f"^it is damaged at byte {second - 9}; see smal recording repair$"
+        LeftoverError, match=f"^damaged at byte {second - 9}; see smal recording repair$"
     ):
         seal_leftover(partial)
     assert partial.read_bytes() == content

@@ -1,1 +1,1 @@
-"""What people read of an evaluation; no result depends on anything in here."""
+"""Report of an evaluation; results do not depend on it."""

@@ -1,4 +1,4 @@
-"""The figures of an evaluation."""
+"""Figures of an evaluation."""
 
 import math
 import textwrap
@@ -30,7 +30,7 @@ _PEERS: Final = {
 
 @styled
 def precision_recall(found: Sequence[Recognized], title: str) -> Figure:
-    """Draw Eq. 9, darker the longer its sequences, and the peers, dashed; a panel for each degradation."""
+    """Draw the curves of Eq. 9 (darker if longer) and of baselines (dashed), by degradation."""
     views = _views(one.degradation for one in found)
     lengths = sorted({one.recognizer.length for one in found})
     drawn, panels = _panels(len(views), 5.2, 5.4, title)
@@ -55,7 +55,7 @@ def _style(recognizer: RecognizerName, lengths: Sequence[int]) -> dict[str, Any]
 
 @styled
 def found_by_drives(found: Sequence[Success], title: str) -> Figure:
-    """Draw the share of searches that find the victim over the number of taught drives, for each driver."""
+    """Draw the share of successful searches over the number of taught drives, for each driver."""
     usual = [one for one in found if one.trial.condition == "as taught"]
     counts = sorted({one.trial.drives for one in usual})
     names = [name for name in CONTROLLERS if any(one.trial.controller == name for one in usual)]
@@ -71,14 +71,14 @@ def found_by_drives(found: Sequence[Success], title: str) -> Figure:
             axes.plot([at, at], one.wilson_95, color=TEXT, lw=1.0)
             axes.text(at, 1.04, f"{one.found}/{one.runs}", ha="center", fontsize=6)
     axes.set_xticks(range(len(counts)), [str(count) for count in counts])
-    axes.set(ylim=(0.0, 1.12), xlabel="taught drives", ylabel="searches that find the victim")
+    axes.set(ylim=(0.0, 1.12), xlabel="taught drives", ylabel="successful searches")
     drawn.legend(loc="outside lower center", ncols=3)
     return drawn
 
 
 @styled
 def success_by_length(found: Sequence[Success], title: str) -> Figure:
-    """Draw the success rate of the paper's scheme over l, with Wilson's intervals, a panel for each degradation."""
+    """Draw the success rate of the paper's scheme over l with Wilson intervals, by degradation."""
     every = [one for one in found if one.trial.controller == "paper"]
     most = max(one.trial.drives for one in every if one.trial.length != DEFAULT_LENGTH)
     paper = [one for one in every if one.trial.drives == most]
@@ -88,7 +88,7 @@ def success_by_length(found: Sequence[Success], title: str) -> Figure:
     for axes, (degradation, view) in zip(panels, views.items(), strict=True):
         _draw_rates(axes, [one for one in paper if one.trial.degradation == degradation], lengths)
         axes.set(title=view, xlabel=f"sequence length l (frames), {most} drives")
-    panels[0].set_ylabel("searches that found the victim")
+    panels[0].set_ylabel("successful searches")
     return drawn
 
 
@@ -106,7 +106,7 @@ def _draw_rates(axes: Axes, found: Sequence[Success], lengths: Sequence[int]) ->
 
 @styled
 def example_route(world: str, route: Mapping[str, NDArray[Any]], title: str) -> Figure:
-    """Draw the way of a search, its ``poses``, on the map, and camera images along it, by ticks."""
+    """Draw the route of a search, its ``poses``, on the map, with camera images by tick."""
     poses = route["poses"]
     ticks = np.sort([int(name) for name in route if name.isdigit()])
     chosen = ticks[evenly(len(ticks), VIEWS)].tolist()
@@ -131,14 +131,14 @@ def example_route(world: str, route: Mapping[str, NDArray[Any]], title: str) -> 
 def _panels(
     count: int, width: float, height: float, title: str, *, sharey: bool = False
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with panels side by side, inches wide and high each."""
+    """Return a figure with panels side by side; width and height in inches per panel."""
     drawn = Figure(figsize=(width * count, height))
     drawn.suptitle(title)
     return drawn, list(drawn.subplots(1, count, squeeze=False, sharey=sharey)[0])
 
 
 def _views(degradations: Iterable[str]) -> dict[str, str]:
-    """Return each degradation once, with its meaning in lines no wider than a panel."""
+    """Return each degradation once, with its description wrapped to the width of a panel."""
     return {
         name: "clear view" if name == "clean" else textwrap.fill(DEGRADATIONS[name].meaning, 46)
         for name in dict.fromkeys(degradations)

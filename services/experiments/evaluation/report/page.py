@@ -1,4 +1,4 @@
-"""The page of an evaluation, and beside it its figures and numbers."""
+"""Page of an evaluation, with its figures and numbers."""
 
 import json
 import platform
@@ -47,7 +47,7 @@ from smal.evaluation.precision_recall import wilson_interval
 from smal.files.container import write_whole
 
 _DPI: Final = 130
-#: Outcomes of searches that do not find the victim, with their headings.
+#: Outcomes of unsuccessful searches, with their headings.
 FAILURES: Final[dict[Outcome, str]] = {
     "collision": "collisions", "timeout": "out of time", "missed": "missed", "false_goal": "false goals",
     "not_here": "“not here”",
@@ -55,7 +55,7 @@ FAILURES: Final[dict[Outcome, str]] = {
 
 
 def write_page(plan: EvaluationPlan, results: Results) -> Path:
-    """Write ``index.html``, ``results.json`` and the figures of all units that are done; return the page."""
+    """Write ``index.html``, ``results.json`` and the figures of finished units; return the page."""
     planned = units(plan)
     findings = results.findings
     found = [results_of(world, planned, findings) for world in plan.worlds]
@@ -95,7 +95,7 @@ def write_page(plan: EvaluationPlan, results: Results) -> Path:
     )
 
 
-#: Values of the template that no result changes.
+#: Values of the template that do not depend on results.
 _FIXED: Final[dict[str, Any]] = {
     "controllers": list(CONTROLLERS.values()),
     "degradations": DEGRADATIONS,

@@ -1,4 +1,4 @@
-"""From what the units found out to the numbers of the report: curves, areas, success rates."""
+"""Numbers of the report from the results of the units: curves, areas, success rates."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -19,12 +19,12 @@ from smal.evaluation.precision_recall import (
     wilson_interval,
 )
 
-SOON_S: Final = 3.0  # Within which a kidnapped robot should know where it is.
+SOON_S: Final = 3.0  # Time within which a kidnapped robot should relocalise, seconds.
 
 
 @dataclass(frozen=True, eq=False)
 class Recognized:
-    """How well one method recognizes in one world, from the frame on at which every method has a whole window."""
+    """Recognition of one method in one world, from the first frame with a complete window."""
 
     recognizer: RecognizerName
     degradation: str
@@ -33,7 +33,7 @@ class Recognized:
     intervals: Intervals
 
     def as_json(self, criterion: str) -> dict[str, Any]:
-        """Return its numbers."""
+        """Return the numbers."""
         return {
             "method": self.recognizer.title,
             "length": self.recognizer.length,
@@ -51,17 +51,32 @@ class Recognized:
 
 
 class Success:
-    """How well the searches of one trial went; ``as_json`` names every number of it.
+    """Results of the searches of one trial; ``as_json`` returns every number.
 
-    ``spl`` is success weighted by path length (Anderson et al. 2018), None where robots were carried; the expert's
-    route counts as shortest: who cuts its corners has 1. Distances from the taught ways are of all frames of all
-    searches. ``clearance_p5_m`` is the mean over searches of the 5th percentile over frames of how far the robot's side
-    was from the nearest thing or person; ``turns_per_m`` how often it began to turn, over metres driven; ``jerk_m_s3``
-    the root mean square jerk of all searches; ``time_over_taught`` how long those that found took, over the mean taught
-    drive, None where they began elsewhere or none found. Interventions are searches that a person would have had to
-    end or to correct (all but those that found, or rightly said "not here"), a kilometre driven. ``wrong_share`` is of
-    frames: sure, and elsewhere; ``right_soon`` in how many searches, of how many, it was right `SOON_S` after it was
-    carried away.
+    Attributes
+    ----------
+    spl
+        Success weighted by path length (Anderson et al. 2018). The expert's route counts as
+        shortest, so a robot that cuts its corners has 1. None for kidnapped robots.
+    aside_rms_m, aside_max_m
+        Distance from the taught ways, over all frames of all searches.
+    clearance_p5_m
+        Mean over searches of the 5th percentile over frames of the distance from the robot's side
+        to the nearest obstacle or person.
+    turns_per_m
+        Starts of a turn, per metre driven.
+    jerk_m_s3
+        Root mean square jerk of all searches.
+    time_over_taught
+        Duration of successful searches over that of the mean taught drive; None for other starts or
+        without success.
+    interventions_per_km
+        Searches that a person would have to end or correct (all but found, and a correct "not
+        here"), per kilometre driven.
+    wrong_share
+        Share of frames with a confident and wrong position.
+    right_soon
+        Number of searches that relocalise within `SOON_S` after the kidnapping, and number of all.
     """
 
     def __init__(self, trial: Trial, searches: Sequence[Finding]) -> None:
@@ -119,7 +134,7 @@ class Success:
         return (soon, len(times)) if times else None
 
     def as_json(self) -> dict[str, Any]:
-        """Return its numbers."""
+        """Return the numbers."""
         own = {
             name: value for name, value in vars(self).items() if name not in ("trial", "searches")
         }
@@ -132,7 +147,7 @@ class Success:
 
 @dataclass(frozen=True)
 class WorldResults:
-    """What the report shows of one world: who recognized; who searched; errands."""
+    """Results of one world: recognition, searches and errands."""
 
     world: WorldPlan
     recognized: list[Recognized]
@@ -141,7 +156,7 @@ class WorldResults:
 
     @property
     def by_condition(self) -> list[Success]:
-        """The searches as taught by their number of drives, then the others by condition."""
+        """The searches as taught by number of drives, then the others by condition."""
 
         def order(one: Success) -> tuple[bool, int, str, str]:
             special = one.trial.condition != "as taught"
@@ -162,7 +177,7 @@ class WorldResults:
 def results_of(
     world: WorldPlan, units: Iterable[Unit], findings: Mapping[Unit, Finding]
 ) -> WorldResults:
-    """Put together what was found out in a world."""
+    """Collect the results of a world."""
     here = [
         (unit, findings[unit])
         for unit in units
@@ -187,7 +202,7 @@ def results_of(
 def recognized(
     world: WorldPlan, recognizer: RecognizerName, degradation: str, parts: Sequence[Finding]
 ) -> Recognized:
-    """Judge one method by what was found out of each held-out drive."""
+    """Evaluate one method by the results of each held-out drive."""
     names = "tick", "score", "answered", "right", "findable"
     tick, score, *flags = (np.concatenate([part[name] for part in parts]) for name in names)
     late = tick >= world.first_judged_tick

@@ -198,7 +198,7 @@ def test_results_of_another_model_are_an_error(
     _check_models(client.node.bus, "0123456789abcdef", None)
     has[wrong] = others
     with pytest.raises(
-        JobError, match=f"^{wrong} has model {others or 'none'}, not 0123456789abcdef"
+        JobError, match=f"^{wrong}: model is {others or 'none'}, not 0123456789abcdef"
     ):
         _check_models(client.node.bus, "0123456789abcdef", None)
 
@@ -264,7 +264,7 @@ def test_start_and_kidnap_reach_the_simulator_and_finished_runs_are_written_thou
     path = corridor.save_model(tmp_path / "mapped.smal")
     more = ("--episodes", 4, "--connect", settings.router, "--json", tmp_path / "runs.json", *flags)
     status, _, said = smal("run", "--model", path, "--world", "yard", *more)
-    last = "smal: run with seed 3: no command came; see the logs of recognition and policy"
+    last = "smal: run with seed 3: no command received; see the logs of recognition and policy"
     assert (status, said.splitlines()[-1]) == (EXIT_FAILED, last)
     assert [(one.seed, one.start, one.kidnap_tick, one.purpose) for one in stack.asked] == [
         (seed, start, kidnap_tick, "run") for seed in (1, 2, 3)
@@ -288,7 +288,7 @@ def test_a_model_of_other_features_is_an_error_before_the_first_run(
     )
     names = ",".join(corridor.FEATURES.modalities)
     assert (
-        f"learned on the features {names}, and the stack makes color,hog; start it with `smal up --mod"
+        f"uses the features {names}, but the stack computes color,hog; start it with `smal up --mod"
         in said
     )
     assert stack.asked == []

@@ -32,7 +32,6 @@ def test_command_reports_why_when_nothing_is_recorded(
         client.publish(image("e", 0))
         eventually(lambda: ready(client, "recorder").detail["lost"])
     assert files == []
-    assert (
-        "messages (cannot record episode e: the disk is full (0 MB are free): no more is recorded)"
-        in (capsys.readouterr().out)
+    assert "messages (cannot record episode e: disk full (0 MB free); recording stopped)" in (
+        capsys.readouterr().out
     )

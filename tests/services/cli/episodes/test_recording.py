@@ -89,7 +89,7 @@ def test_a_folder_that_the_recorder_does_not_write_to_is_one_line_that_says_what
         with pytest.raises(UsageError) as caught, recording(client, folder, "--out"):
             pytest.fail("nothing is recorded")
         assert str(caught.value) == (
-            f"--out {folder}: the recorder of this stack takes only what is below {tmp_path}; put it there, or start "
+            f"--out {folder}: outside the folder of the recorder, {tmp_path}; move it there, or start "
             "the stack with --root"
         )
     with (

@@ -69,7 +69,7 @@ def test_what_was_found_out_is_there_again_with_the_file_that_it_left(tmp_path: 
     PLANNED[0].file(results.work).touch()
     assert Results(tmp_path, PLANNED).findings == results.findings
     (results.work / f"{PLANNED[3].name}.json").write_text("{")
-    with pytest.raises(JobError, match=r"\.json: is no result; delete it"):
+    with pytest.raises(JobError, match=r"\.json: invalid result; delete it"):
         Results(tmp_path, PLANNED)
 
 
@@ -105,7 +105,7 @@ def test_killed_workers_cost_time_and_a_unit_that_always_kills_is_one_line(
     always = Killed(SITE, (after,), 1)
     results = Results(tmp_path, [])
     done = list[tuple[int, int]]()
-    said = "^killed in yard: workers were killed, perhaps for memory; run again to go on"
+    said = "^killed in yard: workers were killed, perhaps out of memory; run the command again to continue"
     with pytest.raises(JobError, match=said), Engine(2) as engine:
         results.complete([killed, after, always], engine, lambda *one: done.append(one))
     assert done == [(0, 3), (1, 3), (2, 3)]

@@ -120,7 +120,7 @@ def test_what_counts_as_a_frame(tmp_path: Path, capsys: pytest.CaptureFixture[st
     described.say_skipped()
     assert capsys.readouterr().err.splitlines() == [
         f"smal: {tmp_path}: skipped 2, no images: notes.txt, truth.csv",
-        f"smal: {tmp_path}: skipped 2, unreadable, and kept in the count of frames: img4.jpg, img5.png",
+        f"smal: {tmp_path}: skipped 2, unreadable (numbers kept): img4.jpg, img5.png",
     ]
 
 
@@ -145,7 +145,7 @@ def test_folders_that_are_none(tmp_path: Path) -> None:
         ("missing", "No such file or directory"),
         (
             "notes/a.txt",
-            "neither a folder of images, nor a recording, nor a video that OpenCV reads",
+            "neither a folder of images, nor a recording, nor a readable video",
         ),
         ("empty", r"no image in this folder \(files: 0\)"),
         ("notes", r"no image in this folder \(files: 1\)"),
@@ -153,7 +153,7 @@ def test_folders_that_are_none(tmp_path: Path) -> None:
         with pytest.raises(UsageError, match=f"^REFERENCE_DIR {tmp_path / name}: {problem}"):
             open_source(tmp_path / name, "REFERENCE_DIR")
     (tmp_path / "notes" / "b.jpg").write_bytes(encoded(picture(), ".jpg")[:-30])
-    with pytest.raises(JobError, match=r"no image can be read: b\.jpg"):
+    with pytest.raises(JobError, match=r"no readable image: b\.jpg"):
         describe_frames(
             open_source(tmp_path / "notes", "QUERY_DIR"), FEATURES, None, "reading", Engine(None)
         )

@@ -56,7 +56,7 @@ def test_files_of_spreadsheets_are_read(tmp_path: Path) -> None:
     ("content", "message"),
     [
         (b"", "line 1: needs the column query once; the columns are ''"),
-        (HEADER.encode() + b"0,,\n", "no query has a reference, so that there is nothing to find"),
+        (HEADER.encode() + b"0,,\n", "no query has a reference; nothing to find"),
         (
             b"query,reference_first\n0,1\n",
             "line 1: needs the column reference_last once; the columns are 'query,ref",
@@ -77,10 +77,10 @@ def test_files_of_spreadsheets_are_read(tmp_path: Path) -> None:
         (HEADER.encode() + b"0,3,2\n", "line 2: reference_first 3 is after reference_last 2"),
         (
             HEADER.encode() + b"0,1,5\n",
-            "line 2: reference_last 5 is beyond the traverse: it has 5 frames",
+            "line 2: reference_last 5 is too large: the traverse has 5 frames",
         ),
-        (HEADER.encode() + b"\n4,1,2\n", "line 3: query 4 is beyond the traverse: it has 4 frames"),
-        (HEADER.encode() + b"0,1,2\n1,1,2\n0,,\n", "line 4: query 0 has a row already"),
+        (HEADER.encode() + b"\n4,1,2\n", "line 3: query 4 is too large: the traverse has 4 frames"),
+        (HEADER.encode() + b"0,1,2\n1,1,2\n0,,\n", "line 4: query 0 has several rows"),
         (
             HEADER.encode() + b"0,1\n",
             "line 2: reference_last must be a frame's number, counted from 0, got ''",
