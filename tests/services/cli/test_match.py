@@ -196,7 +196,7 @@ def test_mistakes_are_one_line(
         (MemoryError(), 1, "matching 24 and 24 frames takes more memory than there is"),
     ],
 )
-def test_what_ends_before_the_end_leaves_the_file_as_it_was(
+def test_match_keeps_old_file_when_interrupted(
     raised: BaseException,
     status: int,
     line: str,
@@ -363,7 +363,7 @@ def test_loops_are_edges_between_frames_far_apart(
     assert all(abs(int(later) - int(earlier) - FRAMES) <= 1 for _, earlier, later, *_ in edges)
 
 
-def test_what_a_person_judges_on_the_page_is_a_truth(
+def test_match_page_exports_truth_when_a_person_judges(
     folders: Path, smal: Smal, browser: Browser
 ) -> None:
     status, _, _ = smal("match", "ref", "query", "--length", "1", "--page", "page.html")

@@ -42,7 +42,7 @@ def tls_endpoint(free_endpoint: str) -> str:
     return free_endpoint.replace("tcp/", "tls/")
 
 
-def test_init_makes_what_check_finds_good(keys: Path, smal: Smal) -> None:
+def test_secure_check_accepts_certificates_of_init(keys: Path, smal: Smal) -> None:
     status, out, err = smal("secure", "check", keys)
     assert (status, err) == (0, "")
     assert all(f"{role}.pem" in out for role in roles())
@@ -61,7 +61,7 @@ def _replace(keys: Path, role: str, **how: object) -> None:
     (keys / f"{role}.key").chmod(0o600)
 
 
-def test_check_names_what_is_wrong(keys: Path, smal: Smal, tmp_path: Path) -> None:
+def test_secure_check_reports_each_fault(keys: Path, smal: Smal, tmp_path: Path) -> None:
     _replace(keys, "features", days=-1 / 1440)
     _replace(keys, "policy", name="operator")
     _replace(keys, "robot", hosts=("localhost",))
@@ -163,7 +163,7 @@ def test_up_tells_the_router_that_it_may_let_everybody_in(
     assert read_settings(RouterSettings, "router").insecure
 
 
-def test_two_authorities_replace_each_other_while_a_driver_goes_on(
+def test_authority_is_replaced_while_operator_drives(
     tls_endpoint: str, tmp_path: Path, smal: Smal
 ) -> None:
     """After each step the router is started again: the driver's next word is heard at once, by old keys or new ones."""
@@ -194,7 +194,7 @@ def test_two_authorities_replace_each_other_while_a_driver_goes_on(
 
 
 @pytest.mark.system
-def test_a_stack_with_certificates_runs_and_a_stranger_does_not_get_in(
+def test_secure_stack_rejects_client_without_certificate(
     tls_endpoint: str, keys: Path, tmp_path: Path, smal: Smal
 ) -> None:
     services = ("router", "features")

@@ -157,7 +157,7 @@ def test_dataset_splits_drive_when_ticks_are_missing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_the_same_export_is_the_same_again(form: str, tmp_path: Path) -> None:
+def test_export_is_identical_when_repeated(form: str, tmp_path: Path) -> None:
     files = [recording(tmp_path / "recordings", name) for name in ("one", "two")]
     first = files_of(files, form, tmp_path / "first")
     assert first
@@ -186,7 +186,7 @@ def test_velocities_are_measured_by_the_wheels(share: float, tmp_path: Path) -> 
     assert {float(row.split(",")[3]) for row in rows} == {share * SPEED, -share * SPEED, 0.0}
 
 
-def test_a_turn_that_went_ahead_is_exported_so(tmp_path: Path) -> None:
+def test_export_keeps_forward_speed_of_turns(tmp_path: Path) -> None:
     """A car's: at 0.6 of its speed straight on."""
     report, _ = imported(sources.donkeycar(tmp_path / "tub"), "donkeycar", tmp_path / "recordings")
     exported([Path(report.files[0])], "folder", tmp_path / "out", speed=2.0, turn_rate=1.0)
@@ -196,7 +196,7 @@ def test_a_turn_that_went_ahead_is_exported_so(tmp_path: Path) -> None:
     assert velocities == {(2.0, 0.0), (1.2, 1.0), (1.2, -1.0), (0.0, 0.0)}
 
 
-def test_without_odometry_velocities_are_what_the_user_says(tmp_path: Path) -> None:
+def test_export_uses_given_velocities_when_odometry_is_missing(tmp_path: Path) -> None:
     file = recording(tmp_path / "recordings", odometry=False)
     with pytest.raises(
         JobError, match="episode drive: no odometry says how fast forward is; say it with --speed"
@@ -216,7 +216,7 @@ def test_without_odometry_velocities_are_what_the_user_says(tmp_path: Path) -> N
     assert back.odometry[8].x_m == pytest.approx(0.4)
 
 
-def test_drives_with_and_without_odometry_are_in_one_folder_and_one_data_set(
+def test_export_joins_drives_when_some_lack_odometry(
     tmp_path: Path,
 ) -> None:
     files = [
@@ -233,7 +233,7 @@ def test_drives_with_and_without_odometry_are_in_one_folder_and_one_data_set(
     )
 
 
-def test_a_bag_has_what_a_robot_would_have_sent(tmp_path: Path) -> None:
+def test_bag_has_the_topics_of_a_robot(tmp_path: Path) -> None:
     """By its owners' reader, with the stamps at which it was seen."""
     from rosbags.highlevel import AnyReader  # noqa: PLC0415
 
@@ -286,7 +286,7 @@ def check_odometry(odometry: Any, transform: Any, pose: corridor.Pose) -> None:
     assert (odometry.twist.twist.linear.x, odometry.twist.twist.angular.z) == (1.5, 0.25)
 
 
-def test_a_time_that_ros_cannot_say_is_one_line(tmp_path: Path) -> None:
+def test_export_rejects_times_that_exceed_ros(tmp_path: Path) -> None:
     file = recording(tmp_path / "recordings", start_ns=5 * 10**18)
     with pytest.raises(JobError, match="a time 5000000000 s after 1970, which ROS cannot say"):
         exported([file], "rosbag2", tmp_path / "out")
@@ -310,7 +310,7 @@ def table_of(path: Path) -> Any:
     return pq.read_table(path)
 
 
-def test_a_data_set_has_the_files_and_columns_of_lerobot(dataset: Path) -> None:
+def test_dataset_has_files_and_columns_of_lerobot(dataset: Path) -> None:
     """As lerobot 0.4 writes them: it refuses rows with a column more or less than the description has."""
     info = json.loads((dataset / "meta/info.json").read_text())
     assert (info["codebase_version"], info["fps"], info["total_episodes"]) == ("v3.0", 10, 2)
@@ -349,7 +349,7 @@ def test_a_data_set_has_the_files_and_columns_of_lerobot(dataset: Path) -> None:
     assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
 
 
-def test_the_videos_of_a_data_set_show_every_frame_at_its_time(dataset: Path) -> None:
+def test_dataset_videos_show_each_frame_at_its_time(dataset: Path) -> None:
     """Within the tolerance of lerobot, 1e-4 s; each is nearer to its view than to any other."""
     av = pytest.importorskip("av")
     views = np.stack([corridor.view(*pose) for pose in poses()]).astype(float)
@@ -375,7 +375,7 @@ def test_the_videos_of_a_data_set_show_every_frame_at_its_time(dataset: Path) ->
             assert off[frame] < min(off.min() + 0.5, 10.0)
 
 
-def test_the_statistics_of_a_data_set_are_those_of_its_values(dataset: Path) -> None:
+def test_dataset_statistics_match_its_values(dataset: Path) -> None:
     stats = json.loads((dataset / "meta/stats.json").read_text())
     rows = table_of(dataset / "data/chunk-000/file-000.parquet").to_pydict()
     assert set(stats) == set(json.loads((dataset / "meta/info.json").read_text())["features"])
@@ -397,7 +397,7 @@ def test_the_statistics_of_a_data_set_are_those_of_its_values(dataset: Path) -> 
     assert episodes["stats/action/max"][0] == stats["action"]["max"]
 
 
-def test_images_that_a_video_has_no_room_for_are_said(tmp_path: Path) -> None:
+def test_export_reports_images_when_sizes_are_unsupported(tmp_path: Path) -> None:
     odd = {tick: encode_jpeg(np.zeros((49, 65, 3), np.uint8)) for tick in range(FRAMES)}
     with pytest.raises(
         JobError, match="images of 65x49 pixels: a video has an even number of columns and rows"
@@ -409,9 +409,7 @@ def test_images_that_a_video_has_no_room_for_are_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_damaged_images_and_a_frame_without_a_movement_are_counted(
-    form: str, tmp_path: Path
-) -> None:
+def test_export_counts_damaged_images_and_open_frames(form: str, tmp_path: Path) -> None:
     """Of a recorder that was killed the last frame does not tell what was done then; it is no arrival either."""
     file = recording(
         tmp_path / "recordings", jpeg={3: b"GIF89a", 4: b"\xff\xd8\xff\xd9"}, outcome=None
@@ -425,7 +423,7 @@ def test_damaged_images_and_a_frame_without_a_movement_are_counted(
         } == {"aborted"}
 
 
-def test_what_cannot_be_read_is_said_and_the_rest_exported(tmp_path: Path) -> None:
+def test_export_reports_unreadable_files_and_keeps_the_rest(tmp_path: Path) -> None:
     whole = recording(tmp_path / "recordings")
     copy = tmp_path / "copy.mcap"
     noise = tmp_path / "noise.mcap"

@@ -15,7 +15,7 @@ HEADER = "query,reference_first,reference_last\n"
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 20), st.integers(1, 20))
 @settings(max_examples=50, deadline=None)
-def test_a_file_says_what_was_written(
+def test_truth_file_is_unchanged_when_read_back(
     tmp_path_factory: pytest.TempPathFactory, seed: int, queries: int, references: int
 ) -> None:
     """Against sets of right references that are kept beside the file."""
