@@ -120,7 +120,7 @@ def test_laps_page_shows_recognition_when_one_lap_teaches(
 
 
 def test_figures_are_those_of_hand_made_beliefs() -> None:
-    """A lap of 20 frames: a twentieth is one frame, a tenth two; where it ends it begins again."""
+    """The lap has 20 frames and is closed."""
     first = np.array([(0, 0.9, 0.0), (2, 0.9, 0.0), (19, 0.9, 0.0), (8, 0.1, 0.05)])
     second = np.array([(9, 0.9, 0.05), (5, 0.1, 0.6), (6, 0.9, 0.0), (7, 0.1, 0.3)])
     found = judge([first, second], [np.array([0, 1, 1, 3]), np.array([4, 5, 6, 17])], 20)

@@ -195,7 +195,7 @@ def test_one_drive_gives_a_map_and_states_of_the_paper(
 
 
 def test_neither_images_nor_features_of_a_drive_fill_memory(tmp_path: Path) -> None:
-    """A frame's features alone are 33 kB; what is kept of a frame is where to read it."""
+    """The features of one frame take 33 kB."""
     held = []
     for frames in (20, 120):
         path = record(tmp_path, drive(f"drive-{frames}", frames=frames))

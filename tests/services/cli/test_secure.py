@@ -87,7 +87,7 @@ def test_secure_check_reports_each_fault(keys: Path, smal: Smal, tmp_path: Path)
 
 
 def test_renewed_the_router_is_still_known_by_all_its_hosts(tmp_path: Path, smal: Smal) -> None:
-    """Nobody names them again: other machines would be locked out."""
+    """Renewal without the host names locks out other machines."""
     keys = tmp_path / "keys"
     hosts = ("--host", "robot.example", "--host", "192.0.2.7")
     assert smal("secure", "init", keys, *hosts)[0] == 0
@@ -112,7 +112,7 @@ def _hosts_of(keys: Path) -> set[str]:
 def test_a_rotation_that_was_interrupted_is_gone_on_with(
     keys: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch, written: int
 ) -> None:
-    """After each file that it writes: what signs is there, and what it has signed is taken."""
+    """The rotation is interrupted after each file that it writes."""
     write = certificates._write
     names = []
 
@@ -166,7 +166,7 @@ def test_up_tells_the_router_that_it_may_let_everybody_in(
 def test_authority_is_replaced_while_operator_drives(
     tls_endpoint: str, tmp_path: Path, smal: Smal
 ) -> None:
-    """After each step the router is started again: the driver's next word is heard at once, by old keys or new ones."""
+    """The router restarts after each step and accepts old and new keys."""
     keys = make_keys(tmp_path / "keys")
     settings = ServiceSettings(robot=ROBOT, router=tls_endpoint, secure=keys)
 

@@ -82,7 +82,6 @@ def test_a_service_that_hangs_in_starting_is_named(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """Whoever waits is told, and in the end it is given up."""
     monkeypatch.setattr(stack, "_TELL_S", 0.1)
     warn = stack._log.warning
 

@@ -176,7 +176,6 @@ def files_of(files: Sequence[Path], form: str, folder: Path) -> dict[Path, bytes
 
 @pytest.mark.parametrize("share", [1.0, 0.5])
 def test_velocities_are_measured_by_the_wheels(share: float, tmp_path: Path) -> None:
-    """Of full speed, also where it was driven at half of it."""
     nominal, _ = exported(
         [recording(tmp_path / "recordings", share=share)], "folder", tmp_path / "out"
     )
@@ -187,7 +186,6 @@ def test_velocities_are_measured_by_the_wheels(share: float, tmp_path: Path) -> 
 
 
 def test_export_keeps_forward_speed_of_turns(tmp_path: Path) -> None:
-    """A car's: at 0.6 of its speed straight on."""
     report, _ = imported(sources.donkeycar(tmp_path / "tub"), "donkeycar", tmp_path / "recordings")
     exported([Path(report.files[0])], "folder", tmp_path / "out", speed=2.0, turn_rate=1.0)
     rows = [line.split(",") for line in (tmp_path / "out" / "drive.csv").read_text().splitlines()]
@@ -234,7 +232,7 @@ def test_export_joins_drives_when_some_lack_odometry(
 
 
 def test_bag_has_the_topics_of_a_robot(tmp_path: Path) -> None:
-    """By its owners' reader, with the stamps at which it was seen."""
+    """The reader of rosbags checks topics, types and stamps."""
     from rosbags.highlevel import AnyReader  # noqa: PLC0415
 
     file = recording(tmp_path / "recordings")
@@ -311,7 +309,7 @@ def table_of(path: Path) -> Any:
 
 
 def test_dataset_has_files_and_columns_of_lerobot(dataset: Path) -> None:
-    """As lerobot 0.4 writes them: it refuses rows with a column more or less than the description has."""
+    """lerobot 0.4 rejects rows whose columns differ from the description."""
     info = json.loads((dataset / "meta/info.json").read_text())
     assert (info["codebase_version"], info["fps"], info["total_episodes"]) == ("v3.0", 10, 2)
     assert (info["total_frames"], info["total_tasks"], info["splits"]) == (
@@ -350,7 +348,7 @@ def test_dataset_has_files_and_columns_of_lerobot(dataset: Path) -> None:
 
 
 def test_dataset_videos_show_each_frame_at_its_time(dataset: Path) -> None:
-    """Within the tolerance of lerobot, 1e-4 s; each is nearer to its view than to any other."""
+    """The tolerance of lerobot is 1e-4 s."""
     av = pytest.importorskip("av")
     views = np.stack([corridor.view(*pose) for pose in poses()]).astype(float)
     episodes = table_of(dataset / "meta/episodes/chunk-000/file-000.parquet").to_pydict()
@@ -410,7 +408,7 @@ def test_export_reports_images_when_sizes_are_unsupported(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("form", FORMATS)
 def test_export_counts_damaged_images_and_open_frames(form: str, tmp_path: Path) -> None:
-    """Of a recorder that was killed the last frame does not tell what was done then; it is no arrival either."""
+    """A killed recorder leaves a last frame without a movement."""
     file = recording(
         tmp_path / "recordings", jpeg={3: b"GIF89a", 4: b"\xff\xd8\xff\xd9"}, outcome=None
     )

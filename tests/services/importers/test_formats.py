@@ -237,7 +237,6 @@ FORMATS: dict[str, Callable[[Path], Path]] = {
 
 @pytest.mark.parametrize("form", ["donkeycar", "rosbag2"])
 def test_imported_drive_teaches_localisation(form: str, tmp_path: Path) -> None:
-    """Learn from what was imported; then a drive in the same corridor is followed, place by place."""
     report, _ = imported(FORMATS[form](tmp_path / "source"), form, tmp_path / "out")
     teacher = Teacher(corridor.FEATURES, shortest=2)
     teacher.read(Path(report.files[0]))
@@ -257,7 +256,7 @@ def test_imported_drive_teaches_localisation(form: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("form", "ahead"), [("donkeycar", 0.6), ("folder", 0.0)])
 def test_imported_turn_keeps_its_forward_speed(form: str, ahead: float, tmp_path: Path) -> None:
-    """The car drives its turns at 0.3 of full throttle, and straight on at 0.5; the other robot turns on the spot."""
+    """The car turns at 0.3 of full throttle and drives straight on at 0.5."""
     report, _ = imported(FORMATS[form](tmp_path / "source"), form, tmp_path / "out", reckon=False)
     teacher = Teacher(corridor.FEATURES, shortest=2)
     teacher.read(Path(report.files[0]))

@@ -101,7 +101,7 @@ def test_velocity_is_zero_when_driver_is_silent() -> None:
 
 
 def test_a_way_is_reckoned_as_the_robot_drives_it() -> None:
-    """A quarter of a circle of 2 m, and then a turn on the spot."""
+    """The robot drives a quarter of a circle of 2 m, then turns on the spot."""
     quarter = math.pi / 2.0
     rows = [
         (0.1 * k, 0.2 * math.pi / 2.0, quarter / 5.0) if k < 50 else (0.1 * k, 0.0, -quarter)

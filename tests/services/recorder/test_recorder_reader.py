@@ -77,7 +77,6 @@ def test_recording_is_unchanged_when_read_back(tmp_path: Path) -> None:
 def test_pieces_split_when_a_frame_lacks_image_or_odometry(
     tmp_path: Path, lost: str, ticks: list[int], pieces: list[list[int]]
 ) -> None:
-    """Odometry that most frames lack splits nothing."""
     sent = [m for m in episode("e") if m.topic_name != lost or m.tick not in ticks]
     (read,) = read_messages(tmp_path, sent).episodes
     assert [piece.tolist() for piece in read.pieces()] == pieces
@@ -177,7 +176,7 @@ def held_by(*files: str) -> int:
 def test_recorder_memory_is_constant_during_a_drive(
     settings: ServiceSettings, tmp_path: Path
 ) -> None:
-    """With a clock that runs as the drive does: two minutes of four messages a tick, looked after each second."""
+    """The drive lasts two minutes with four messages a tick."""
     told = [
         image("e", 0),
         applied("e", 0, sequence=0),
@@ -212,7 +211,7 @@ def test_recorder_memory_is_constant_during_a_drive(
 
 
 def test_early_messages_are_bounded_and_counted(settings: ServiceSettings, tmp_path: Path) -> None:
-    """Frames of an episode that nobody began, as large as they may be; of those that fit none is lost."""
+    """Frames of the largest size arrive for an episode without a start."""
     with Node("recorder", settings) as node:
         recorder = RecorderService(node, tmp_path, tmp_path)
         largest = CompressedImage.after(

@@ -166,7 +166,6 @@ def no_space(*_: object) -> None:
 def test_a_full_disk_ends_the_file_and_not_the_recorder(
     recorder: RecorderService, client: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What had been written is sealed when there is room."""
     monkeypatch.setattr("services.recordings.writer.Sink", FullDisk)
     sent = list(episode("full", frames=40))
     publish(client, sent)
@@ -224,7 +223,7 @@ def test_recorder_awaits_messages_when_cut_episode_has_ended(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """On a busy machine the files were named before anything of it was sent again, and the rest was lost."""
+    """On a busy machine the files were named before messages were sent again."""
     monkeypatch.setattr("services.recorder.service.EARLY_S", 2.0)
     sent = list(episode("cut", frames=20))
     leave(tmp_path, sent[:30])
@@ -244,7 +243,6 @@ def test_recorder_awaits_messages_when_cut_episode_has_ended(
 def test_recorder_keeps_all_messages_when_killed_and_restarted(
     request: pytest.FixtureRequest, process: subprocess.Popen[str], client: Bus, tmp_path: Path
 ) -> None:
-    """What was not written yet, and what was sent meanwhile, is had from the senders, in a file of its own."""
     introduce(client, "recorder", *introductions())
     before = list(episode("before", frames=3))
     killed = list(episode("killed", frames=40))

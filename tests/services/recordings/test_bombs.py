@@ -137,7 +137,7 @@ def test_reading_takes_bounded_memory(tmp_path: Path, make: Callable[[Path], Pat
 
 
 def test_recordings_share_one_memory_limit(tmp_path: Path) -> None:
-    """Each teaches, and none alone is too much; what is left out or not kept leaves room for the next."""
+    """Each recording alone is within the limit."""
     teacher = Teacher(FeatureSettings(), 5)
     teacher._allowance = Allowance(ALLOWED)
     for number in range(3):
@@ -223,7 +223,7 @@ NO_RECORDS = [
 def test_bomb_is_rejected_fast_when_unpacked(
     tmp_path: Path, content: bytes, why: str, compression: str
 ) -> None:
-    """A file of 2 kB once took 13 s of the processor, one of 1 MB took 4 GiB."""
+    """A file of 2 kB once took 13 s of processor time, a file of 1 MB took 4 GiB."""
     pack = zstandard.compress if compression == "zstd" else lz4.frame.compress
     path = write(
         tmp_path / "bomb.mcap", raw(Chunk(compression, pack(content), 0, 0, 0, len(content)))
@@ -240,7 +240,7 @@ def test_bomb_is_rejected_fast_when_unpacked(
 
 
 def test_recovery_ends_when_every_byte_resembles_a_chunk(tmp_path: Path) -> None:
-    """One megabyte took 19 s of processor time, and four times as long with each doubling."""
+    """1 MB once took 19 s of processor time, and four times as long at each doubling."""
     heads = bytearray(MAGIC + b"\xff" + bytes(20))
     head = CHUNK_HEAD.size
     behind = 2 * MIB

@@ -163,7 +163,7 @@ def test_ledger_lists_missing_messages_in_any_order(
 
 
 def test_ledger_is_bounded_when_messages_flood_a_tick() -> None:
-    """With a stolen key of the policy that took 460 MB, and with four of them more than a recorder has."""
+    """A stolen key of the policy once filled 460 MB."""
     ledger = Ledger()
     one = command("e", 5, "policy")
     tracemalloc.start()
@@ -223,7 +223,6 @@ def exits_at(step: int) -> None:
 
 
 def test_written_messages_survive_when_recorder_is_killed(tmp_path: Path) -> None:
-    """While it is recorded, while it is sealed, and while what was left is sealed."""
     sent = [
         message
         for message in episode("e", frames=33)
@@ -328,7 +327,6 @@ class FullDisk(Sink):
 def test_a_full_disk_is_told_how_many_messages_it_cost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Wherever the disk ends: within a chunk, or within the index behind it."""
     messages = list(episode("full", frames=25))
     whole = memoryview(leave(tmp_path, messages).read_bytes())
     end = next(head.end for head in heads(whole, len(MAGIC)) if head.opcode == Opcode.CHUNK)

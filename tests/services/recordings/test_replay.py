@@ -167,7 +167,6 @@ def check_decisions(client: Bus, robot: Node, path: Path, model: Model) -> list[
 def test_services_match_library_when_replayed(
     client: Bus, robot: Node, chain: Callable[[Model], None], tmp_path: Path
 ) -> None:
-    """The golden replay."""
     path = driven_corridor.record(tmp_path)
     chain(corridor.model())
     atoms = check_decisions(client, robot, path, corridor.model())

@@ -180,7 +180,6 @@ def test_log_reports_each_change_once(path: Path) -> None:
 
 
 def test_layout_shows_recorded_topics(path: Path, tmp_path: Path) -> None:
-    """Every topic in it is one of ours, and every plotted field is in a message of it."""
     layout = json.loads(LAYOUT.read_text())
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()

@@ -74,7 +74,6 @@ def simulation(near: Path) -> Simulation:
 def test_search_is_bit_identical_in_process_and_in_services(
     simulation: Simulation, taught: Path, taught_paper: Path, scheme: Scheme
 ) -> None:
-    """What the processes add is transport: `RecognitionService` and the others hold all that decides."""
     file = taught_paper if scheme == "paper" else taught / "model.smal"
     model = load_model(file)
     features = FeaturesService(FEATURES)
