@@ -87,7 +87,6 @@ def test_changed_seeds_are_decoded_or_refused(name: str, data: st.DataObject) ->
 def test_model_is_refused_or_usable_when_its_header_is_nonsense(
     data: st.DataObject, scheme: int, value: object
 ) -> None:
-    """Of the paper's model, and of the map."""
 
     def change(meta: dict[str, Any], _arrays: dict[str, np.ndarray]) -> None:
         fields = meta["map"] if scheme and data.draw(st.booleans()) else meta

@@ -4,7 +4,8 @@ After a deliberate change of the wire: ``python -m tests.schemas.messages`` writ
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import chain
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -171,31 +172,35 @@ def _any_of(kind: Any, rules: Sequence[Any] = ()) -> st.SearchStrategy[Any]:
     origin = get_origin(kind)
     arguments = get_args(kind)
     if origin is Annotated:
-        more = [
-            rule
-            for one in arguments[1:]
-            for rule in (one.metadata if isinstance(one, FieldInfo) else [one])
-        ]
-        return _any_of(arguments[0], [*rules, *more])
+        fields = [one.metadata if isinstance(one, FieldInfo) else [one] for one in arguments[1:]]
+        return _any_of(arguments[0], [*rules, *chain.from_iterable(fields)])
     if origin in (Union, UnionType):
         return st.one_of(*(_any_of(one, rules) for one in arguments))
     if origin is Literal:
         return st.sampled_from(arguments)
-    bounds = {
-        name: value for rule in rules for name, value in _named(rule).items() if value is not None
-    }
+    bounds = dict(chain.from_iterable(map(_named, rules)))
     if origin is tuple:
-        least = bounds.get("min_length", 0)
-        most = min(bounds.get("max_length", 9), 100)
-        several = st.lists(_any_of(arguments[0]), min_size=least, max_size=most).map(tuple)
-        return several if arguments[-1] is ... else st.tuples(*map(_any_of, arguments))
-    if kind in (Float32Array, LoadRequest):
-        return _arrays if kind is Float32Array else _requests
-    if isinstance(kind, type) and issubclass(kind, Strict):
-        return (
-            messages_of(kind) if issubclass(kind, Message) else st.builds(kind, **_fields_of(kind))
-        )
-    if kind is str and "pattern" in bounds:
+        return _tuples(arguments, bounds)
+    return _values(kind, bounds)
+
+
+def _tuples(arguments: tuple[Any, ...], bounds: dict[str, Any]) -> st.SearchStrategy[Any]:
+    if arguments[-1] is not ...:
+        return st.tuples(*map(_any_of, arguments))
+    least = bounds.get("min_length", 0)
+    most = min(bounds.get("max_length", 9), 100)
+    return st.lists(_any_of(arguments[0]), min_size=least, max_size=most).map(tuple)
+
+
+def _values(kind: type, bounds: dict[str, Any]) -> st.SearchStrategy[Any]:
+    special = {Float32Array: _arrays, LoadRequest: _requests}
+    if kind in special:
+        return special[kind]
+    if issubclass(kind, Message):
+        return messages_of(kind)
+    if issubclass(kind, Strict):
+        return st.builds(kind, **_fields_of(kind))
+    if "pattern" in bounds:
         return st.from_regex(bounds["pattern"].strip("^$"), fullmatch=True)
     size = {"min_size": bounds.get("min_length", 0), "max_size": bounds.get("max_length", 99)}
     least = bounds.get("ge", bounds.get("gt"))
@@ -210,11 +215,9 @@ def _any_of(kind: Any, rules: Sequence[Any] = ()) -> st.SearchStrategy[Any]:
     }[kind]
 
 
-def _named(rule: Any) -> dict[str, Any]:
-    return {
-        name: getattr(rule, name, None)
-        for name in ("ge", "gt", "le", "lt", "min_length", "max_length", "pattern")
-    }
+def _named(rule: Any) -> list[tuple[str, Any]]:
+    names = ("ge", "gt", "le", "lt", "min_length", "max_length", "pattern")
+    return [(name, getattr(rule, name)) for name in names if getattr(rule, name, None) is not None]
 
 
 def _fields_of(cls: type[Strict]) -> dict[str, st.SearchStrategy[Any]]:
@@ -226,48 +229,74 @@ def _fields_of(cls: type[Strict]) -> dict[str, st.SearchStrategy[Any]]:
     }
 
 
-def _fitting(cls: type[Message], fields: dict[str, Any]) -> dict[str, Any]:
-    """Make fields that are each as they may be fit each other."""
-    rng = np.random.default_rng(fields["tick"])
-    if cls is DepthImage:
-        width = fields["width"] % 8 + 1
-        height = fields["height"] % 8 + 1
-        fields |= {"width": width, "height": height, "data": rng.bytes(2 * width * height)}
-    elif cls is CameraInfo:
-        width = fields["width"]
-        height = fields["height"]
-        axis = {"centre_x_px": width * rng.random(), "centre_y_px": height / 2}
-        fields |= {"focal_px": width * rng.uniform(1.0, 12.0), **axis}
-    elif cls is TaughtMap:
-        count = len(fields["begins"])
-        poses = Float32Array.from_numpy(rng.standard_normal((count, 3), dtype=np.float32))
-        fields |= {"begins": tuple(range(count)), "keyframes": poses}
-    elif cls is Imu:
-        at_s = {sample.after_s: sample for sample in fields["samples"]}
-        fields["samples"] = tuple(at_s[one] for one in sorted(at_s))
-    elif cls is TrackedPose:
-        measured = ("x_m", "y_m", "heading_rad", "error_px")
-        fields["visible"] = None not in [fields[name] for name in measured]
-        fields |= {} if fields["visible"] else dict.fromkeys(measured)
-    elif cls is Episode:
-        ended = fields["outcome"] is not None
-        fields["event"] = "ended" if ended else fields["event"].replace("ended", "started")
-        fields["judge"] = fields["judge"] if fields["outcome"] == "found" else None
-        fields["right"] = fields["right"] if fields["outcome"] == "not_here" else None
-        fields["box"] = fields["box"] if fields["judge"] == "operator" else None
-    elif cls is State:
-        if fields["status"] == "idle":
-            fields |= {"model": None, "places": NO_PLACES}
-        else:
-            fields["model"] = fields["model"] or "0123456789abcdef"
-        of_paper = fields["status"] == "recognized" and not fields["places"].shape[0]
-        fields["state"] = (fields["state"] or 0) if of_paper else None
-    return fields
+def _depth_image(fields: dict[str, Any], rng: np.random.Generator) -> None:
+    fields["width"] = fields["width"] % 8 + 1
+    fields["height"] = fields["height"] % 8 + 1
+    fields["data"] = rng.bytes(2 * fields["width"] * fields["height"])
+
+
+def _camera_info(fields: dict[str, Any], rng: np.random.Generator) -> None:
+    fields["centre_x_px"] = fields["width"] * rng.random()
+    fields["centre_y_px"] = fields["height"] / 2
+    fields["focal_px"] = fields["width"] * rng.uniform(1.0, 12.0)
+
+
+def _taught_map(fields: dict[str, Any], rng: np.random.Generator) -> None:
+    count = len(fields["begins"])
+    poses = rng.standard_normal((count, 3), dtype=np.float32)
+    fields |= {"begins": tuple(range(count)), "keyframes": Float32Array.from_numpy(poses)}
+
+
+def _imu(fields: dict[str, Any], _rng: np.random.Generator) -> None:
+    at_s = {sample.after_s: sample for sample in fields["samples"]}
+    fields["samples"] = tuple(at_s[one] for one in sorted(at_s))
+
+
+def _tracked_pose(fields: dict[str, Any], _rng: np.random.Generator) -> None:
+    measured = ("x_m", "y_m", "heading_rad", "error_px")
+    fields["visible"] = None not in [fields[name] for name in measured]
+    if not fields["visible"]:
+        fields |= dict.fromkeys(measured)
+
+
+def _episode(fields: dict[str, Any], _rng: np.random.Generator) -> None:
+    ended = fields["outcome"] is not None
+    fields["event"] = "ended" if ended else fields["event"].replace("ended", "started")
+    fields["judge"] = fields["judge"] if fields["outcome"] == "found" else None
+    fields["right"] = fields["right"] if fields["outcome"] == "not_here" else None
+    fields["box"] = fields["box"] if fields["judge"] == "operator" else None
+
+
+def _state(fields: dict[str, Any], _rng: np.random.Generator) -> None:
+    if fields["status"] == "idle":
+        fields |= {"model": None, "places": NO_PLACES}
+    else:
+        fields["model"] = fields["model"] or "0123456789abcdef"
+    of_paper = fields["status"] == "recognized" and not fields["places"].shape[0]
+    fields["state"] = (fields["state"] or 0) if of_paper else None
+
+
+#: By class: changes fields, each valid alone, so that they are valid together.
+_FITTING: dict[type[Message], Callable[[dict[str, Any], np.random.Generator], None]] = {
+    DepthImage: _depth_image,
+    CameraInfo: _camera_info,
+    TaughtMap: _taught_map,
+    Imu: _imu,
+    TrackedPose: _tracked_pose,
+    Episode: _episode,
+    State: _state,
+}
 
 
 def messages_of(cls: type[Message]) -> st.SearchStrategy[Message]:
     """Make any message of a class."""
-    return st.fixed_dictionaries(_fields_of(cls)).map(lambda fields: cls(**_fitting(cls, fields)))
+
+    def message(fields: dict[str, Any]) -> Message:
+        if cls in _FITTING:
+            _FITTING[cls](fields, np.random.default_rng(fields["tick"]))
+        return cls(**fields)
+
+    return st.fixed_dictionaries(_fields_of(cls)).map(message)
 
 
 any_message = st.sampled_from(CLASSES).flatmap(messages_of)

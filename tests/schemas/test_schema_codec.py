@@ -191,7 +191,7 @@ def blown_up(leaf: bytes, size: int) -> bytes:
     "leaf", [b"\x80", b"\x90", b"\x91\xc0", b"\x81\xa1a\xc0", b"\xcd\xff\xff"], ids=bytes.hex
 )
 def test_four_megabytes_of_containers_cost_little(leaf: bytes) -> None:
-    """By default msgpack makes 280 MB of them, which also takes a second."""
+    """By default msgpack makes 280 MB of these bytes and takes a second."""
     payload = blown_up(leaf, 4_000_000)
     assert 4_000_000 <= len(payload) < LARGEST.max_bytes
     tracemalloc.start()

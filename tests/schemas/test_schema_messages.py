@@ -30,7 +30,10 @@ def name_of(cls: type[Message]) -> str:
 
 @pytest.mark.parametrize("cls", CLASSES, ids=name_of)
 def test_wire_format_does_not_change(cls: type[Message]) -> None:
-    """A change here breaks recordings and running robots: raise the message's version, then renew golden.json."""
+    """A change breaks recordings and running robots.
+
+    Raise the message's version, then renew golden.json.
+    """
     golden = GOLDEN[cls.__name__]
     assert messages.golden_of(cls) == golden
     assert decode(cls, bytes.fromhex(golden["hex"]), golden["encoding"]) == EXAMPLES[cls]

@@ -99,7 +99,7 @@ def test_model_learns_each_file_once_when_links_lead_to_it(
     assert "is left out" not in err
 
 
-def test_a_model_that_nothing_surprised_stays(tmp_path: Path, smal: Smal) -> None:
+def test_model_is_unchanged_when_a_drive_adds_no_surprise(tmp_path: Path, smal: Smal) -> None:
     file = corridor.save_model(tmp_path / "way.smal")
     folder = tmp_path / "runs"
     folder.mkdir()
@@ -137,7 +137,7 @@ def test_model_stays_when_its_earlier_version_is_invalid(
     assert not file.is_symlink()
 
 
-def test_what_cannot_learn_more_is_named(
+def test_add_reports_model_that_cannot_learn_more(
     runs: Path, tmp_path: Path, smal: Smal, mistake: Mistake
 ) -> None:
     assert "it is the model to extend" in mistake(

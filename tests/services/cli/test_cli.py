@@ -19,7 +19,7 @@ from tests.services.cli.conftest import ROOT, Mistake, Smal
 
 
 @pytest.mark.parametrize("name", sorted(cli.COMMANDS))
-def test_every_command_of_the_list_explains_itself_with_an_example(name: str, smal: Smal) -> None:
+def test_command_prints_help_with_an_example_when_asked(name: str, smal: Smal) -> None:
     status, out, err = smal(name, "--help")
     assert (status, err) == (0, "")
     assert out.startswith(f"Usage: smal {name} ")
@@ -42,7 +42,7 @@ def test_help_and_version_load_no_command(smal: Smal) -> None:
     assert done.stdout == f"smal {program_version()}\n[]\n"
 
 
-def test_a_command_that_is_none_is_named_and_another_suggested(smal: Smal) -> None:
+def test_command_is_suggested_when_name_is_unknown(smal: Smal) -> None:
     assert smal("mach") == (2, "", "smal: No such command 'mach'. Did you mean 'match'?\n")
 
 
@@ -97,7 +97,7 @@ def test_a_router_that_cannot_be_there(
         )
 
 
-def test_what_a_model_says_makes_no_network_run(tmp_path: Path) -> None:
+def test_network_runs_only_when_its_file_is_given(tmp_path: Path) -> None:
     named = FeatureSettings.of(("color", f"onnx:{'ab' * 32}:4"))
     with pytest.raises(UsageError, match="is run only where its file is given, as onnx:FILE"):
         feature_flags(None, named)

@@ -77,10 +77,9 @@ def test_an_evaluation_goes_on_where_it_was_interrupted(
     assert {path: path.stat().st_mtime_ns for path in times} == times
 
 
-def test_a_unit_that_fails_is_one_line_and_leaves_what_was_done(
+def test_evaluate_keeps_results_when_a_unit_fails(
     tmp_path: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No world of that name: the worker says so, and the command ends."""
     nowhere = EvaluationPlan(
         "quick", (WorldPlan("nowhere", Criterion(1.0, 25.0), trials=(Trial("smal", 1, 1),)),)
     )

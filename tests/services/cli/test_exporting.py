@@ -11,7 +11,7 @@ from tests.services.exporters.recorded_drive import MADE, recording
 
 
 @pytest.mark.parametrize("form", ["rosbag2", "lerobot", "folder"])
-def test_drives_are_exported_and_it_is_said_how_fast_they_were(
+def test_export_reports_velocities_of_exported_drives(
     form: str, smal: Smal, tmp_path: Path
 ) -> None:
     pytest.importorskip("pyarrow", reason="needs the extra formats")
@@ -32,7 +32,7 @@ def test_drives_are_exported_and_it_is_said_how_fast_they_were(
 @pytest.mark.parametrize(
     "failure", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()]
 )
-def test_an_export_that_fails_half_way_leaves_nothing(
+def test_export_removes_its_files_when_writing_fails(
     failure: BaseException, smal: Smal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording(tmp_path / "drives")

@@ -72,7 +72,6 @@ def test_model_is_absent_when_the_disk_is_full(tmp_path: Path) -> None:
 
 
 def test_model_stays_when_the_disk_is_full_for_its_copy(tmp_path: Path) -> None:
-    """`learn --add` keeps the model before as a version of its own."""
     drives = tmp_path / "runs"
     drives.mkdir()
     for number in range(4):

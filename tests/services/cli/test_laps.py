@@ -60,7 +60,7 @@ def tub(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made_once(tmp_path_factory, "tub-of-laps", write_tub)
 
 
-def test_laps_are_found_and_aligned_within_2_per_cent_and_turn_once_round(tub: Path) -> None:
+def test_laps_are_aligned_within_2_per_cent(tub: Path) -> None:
     laps = read_laps(tub, lambda *_: None)
     true_rad = np.array(angles())[:, 0]
     assert len(laps) == len(LAPS) - 1
@@ -77,7 +77,7 @@ def test_laps_are_found_and_aligned_within_2_per_cent_and_turn_once_round(tub: P
         assert drive.odometry[-1, 2] - drive.odometry[0, 2] == pytest.approx(math.tau, rel=0.06)
 
 
-def test_one_lap_of_a_recording_teaches_and_a_page_says_how_well_others_are_known(
+def test_laps_page_shows_recognition_when_one_lap_teaches(
     tub: Path, tmp_path: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     job = ImportJob(
@@ -120,7 +120,7 @@ def test_one_lap_of_a_recording_teaches_and_a_page_says_how_well_others_are_know
 
 
 def test_figures_are_those_of_hand_made_beliefs() -> None:
-    """A lap of 20 frames: a twentieth is one frame, a tenth two; where it ends it begins again."""
+    """The lap has 20 frames and is closed."""
     first = np.array([(0, 0.9, 0.0), (2, 0.9, 0.0), (19, 0.9, 0.0), (8, 0.1, 0.05)])
     second = np.array([(9, 0.9, 0.05), (5, 0.1, 0.6), (6, 0.9, 0.0), (7, 0.1, 0.3)])
     found = judge([first, second], [np.array([0, 1, 1, 3]), np.array([4, 5, 6, 17])], 20)

@@ -110,7 +110,7 @@ def test_a_model_with_shared_states_is_learned(
         ),
     ],
 )
-def test_what_must_not_teach_is_left_out(
+def test_learn_omits_episodes_when_they_must_not_teach(
     tmp_path: Path, purpose: Purpose, outcome: Outcome, reason: str
 ) -> None:
     path = record(tmp_path, drive("e", purpose=purpose, outcome=outcome))
@@ -170,7 +170,7 @@ def test_damaged_recordings_are_named_and_the_rest_teaches(
     living.seal()
 
 
-def test_one_drive_gives_a_map_of_views_and_for_the_papers_scheme_states(
+def test_one_drive_gives_a_map_and_states_of_the_paper(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = record(tmp_path, drive("drive-0"))
@@ -194,7 +194,7 @@ def test_one_drive_gives_a_map_of_views_and_for_the_papers_scheme_states(
 
 
 def test_neither_images_nor_features_of_a_drive_fill_memory(tmp_path: Path) -> None:
-    """A frame's features alone are 33 kB; what is kept of a frame is where to read it."""
+    """The features of one frame take 33 kB."""
     held = []
     for frames in (20, 120):
         path = record(tmp_path, drive(f"drive-{frames}", frames=frames))
@@ -208,7 +208,7 @@ def test_neither_images_nor_features_of_a_drive_fill_memory(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("kind", [CompressedImage, Odometry, Message])
-def test_a_frame_without_image_odometry_or_anything_is_left_out_and_the_rest_is_one_way(
+def test_learn_joins_the_rest_when_a_frame_is_incomplete(
     tmp_path: Path, kind: type[Message]
 ) -> None:
     lost = [m for m in drive("e") if not (isinstance(m, kind) and m.tick == 20)]

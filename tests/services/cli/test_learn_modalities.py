@@ -31,7 +31,7 @@ def test_learning_refuses_depth_in_one_line(tmp_path: Path, command: Callable[..
 
 
 def test_learning_ignores_features_of_old_recordings(tmp_path: Path) -> None:
-    """Earlier recordings hold features; the images teach, whatever the features are."""
+    """Old recordings hold features. Learning computes features from the images."""
     began, *sent = drive("e")
     vector = Float32Array.from_numpy(np.ones(3, np.float32))
     old = [

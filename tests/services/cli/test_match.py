@@ -196,7 +196,7 @@ def test_mistakes_are_one_line(
         (MemoryError(), 1, "out of memory while matching 24 and 24 frames"),
     ],
 )
-def test_what_ends_before_the_end_leaves_the_file_as_it_was(
+def test_match_keeps_old_file_when_interrupted(
     raised: BaseException,
     status: int,
     line: str,
@@ -218,7 +218,6 @@ def test_what_ends_before_the_end_leaves_the_file_as_it_was(
 def test_probable_matches_are_calibrated_and_drawn(
     folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The references lack the first third."""
     monkeypatch.setattr(match, "METHODS", METHODS)
     for name in NAMES[:8]:
         Path(f"ref/{name}").unlink()
@@ -244,7 +243,6 @@ def test_probable_matches_are_calibrated_and_drawn(
 
 
 def test_a_traverse_is_a_video_or_a_recording_as_well(folders: Path, smal: Smal) -> None:
-    """Each begins at frame 6 of the folder."""
     video = cv2.VideoWriter("query.avi", cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (96, 72))
     started = event("query", 0, "started")
     recording = EpisodeWriter.begin(Path(), started)
@@ -264,7 +262,7 @@ def test_a_traverse_is_a_video_or_a_recording_as_well(folders: Path, smal: Smal)
 
 
 def test_truth_is_told_by_names_gps_or_poses(folders: Path, smal: Smal) -> None:
-    """Of the queries two are named otherwise, or nobody knows where they were."""
+    """Two queries have other names or an unknown place."""
     for name in ("ref", "query"):
         rows = [f"{place},{place},0" for place in range(FRAMES) if name == "ref" or place > 1]
         Path(f"{name}.csv").write_text("\n".join(["frame,x_m,y_m", *rows]))
@@ -351,7 +349,6 @@ def test_the_cache_does_not_grow_beyond_its_bound(
 def test_loops_are_edges_between_frames_far_apart(
     folders: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The way is driven twice."""
     monkeypatch.setattr(match, "METHODS", METHODS)
     for place, file in enumerate(NAMES):
         cv2.imwrite(f"ref/lap2-{file}", view(place))
@@ -363,7 +360,7 @@ def test_loops_are_edges_between_frames_far_apart(
     assert all(abs(int(later) - int(earlier) - FRAMES) <= 1 for _, earlier, later, *_ in edges)
 
 
-def test_what_a_person_judges_on_the_page_is_a_truth(
+def test_match_page_exports_truth_when_a_person_judges(
     folders: Path, smal: Smal, browser: Browser
 ) -> None:
     status, _, _ = smal("match", "ref", "query", "--length", "1", "--page", "page.html")

@@ -115,9 +115,7 @@ def photos(page: Page) -> int:
     )
 
 
-def test_the_page_of_a_map_shows_the_fork_the_drives_and_where_the_belief_was(
-    taught: Path, tmp_path: Path, smal: Smal
-) -> None:
+def test_map_page_shows_fork_drives_and_belief(taught: Path, tmp_path: Path, smal: Smal) -> None:
     page, err = shown(smal, tmp_path, taught / "two.smal", "--recordings", taught / "drives")
     assert "missing" not in err
     text = " ".join(page.texts)
@@ -134,7 +132,7 @@ def test_the_page_of_a_map_shows_the_fork_the_drives_and_where_the_belief_was(
 
 @pytest.mark.parametrize("scheme", ["filter", "paper"])
 @pytest.mark.parametrize("recordings", [True, False])
-def test_nothing_that_a_model_says_is_markup_and_nothing_comes_from_a_network(
+def test_map_page_escapes_text_and_loads_no_network_files(
     model: Model,
     paper_model: PaperModel,
     taught: Path,

@@ -42,7 +42,7 @@ def tls_endpoint(free_endpoint: str) -> str:
     return free_endpoint.replace("tcp/", "tls/")
 
 
-def test_init_makes_what_check_finds_good(keys: Path, smal: Smal) -> None:
+def test_secure_check_accepts_certificates_of_init(keys: Path, smal: Smal) -> None:
     status, out, err = smal("secure", "check", keys)
     assert (status, err) == (0, "")
     assert all(f"{role}.pem" in out for role in roles())
@@ -61,7 +61,7 @@ def _replace(keys: Path, role: str, **how: object) -> None:
     (keys / f"{role}.key").chmod(0o600)
 
 
-def test_check_names_what_is_wrong(keys: Path, smal: Smal, tmp_path: Path) -> None:
+def test_secure_check_reports_each_fault(keys: Path, smal: Smal, tmp_path: Path) -> None:
     _replace(keys, "features", days=-1 / 1440)
     _replace(keys, "policy", name="operator")
     _replace(keys, "robot", hosts=("localhost",))
@@ -87,7 +87,7 @@ def test_check_names_what_is_wrong(keys: Path, smal: Smal, tmp_path: Path) -> No
 
 
 def test_renewed_the_router_is_still_known_by_all_its_hosts(tmp_path: Path, smal: Smal) -> None:
-    """Nobody names them again: other machines would be locked out."""
+    """Renewal without the host names locks out other machines."""
     keys = tmp_path / "keys"
     hosts = ("--host", "robot.example", "--host", "192.0.2.7")
     assert smal("secure", "init", keys, *hosts)[0] == 0
@@ -112,7 +112,7 @@ def _hosts_of(keys: Path) -> set[str]:
 def test_a_rotation_that_was_interrupted_is_gone_on_with(
     keys: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch, written: int
 ) -> None:
-    """After each file that it writes: what signs is there, and what it has signed is taken."""
+    """The rotation is interrupted after each file that it writes."""
     write = certificates._write
     names = []
 
@@ -163,10 +163,10 @@ def test_up_tells_the_router_that_it_may_let_everybody_in(
     assert read_settings(RouterSettings, "router").insecure
 
 
-def test_two_authorities_replace_each_other_while_a_driver_goes_on(
+def test_authority_is_replaced_while_operator_drives(
     tls_endpoint: str, tmp_path: Path, smal: Smal
 ) -> None:
-    """After each step the router is started again: the driver's next word is heard at once, by old keys or new ones."""
+    """The router restarts after each step and accepts old and new keys."""
     keys = make_keys(tmp_path / "keys")
     settings = ServiceSettings(robot=ROBOT, router=tls_endpoint, secure=keys)
 
@@ -194,7 +194,7 @@ def test_two_authorities_replace_each_other_while_a_driver_goes_on(
 
 
 @pytest.mark.system
-def test_a_stack_with_certificates_runs_and_a_stranger_does_not_get_in(
+def test_secure_stack_rejects_client_without_certificate(
     tls_endpoint: str, keys: Path, tmp_path: Path, smal: Smal
 ) -> None:
     services = ("router", "features")

@@ -82,7 +82,6 @@ def test_a_service_that_hangs_in_starting_is_named(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """Whoever waits is told, and in the end it is given up."""
     monkeypatch.setattr(stack, "_TELL_S", 0.1)
     warn = stack._log.warning
 
@@ -157,9 +156,7 @@ def test_no_signal_leaves_orphans(
             assert (status, parent.stderr.read()) == (130, "smal: interrupted\n")
 
 
-def test_a_service_that_keeps_dying_is_started_less_and_less_often_until_it_has_lived_for_long() -> (
-    None
-):
+def test_restart_delay_grows_until_service_lives_long() -> None:
     spacings_s = [stack.FIRST_S]
     for _ in range(6):
         spacings_s.append(stack.next_spacing_s(spacings_s[-1], lived_s=0.5))
@@ -167,7 +164,7 @@ def test_a_service_that_keeps_dying_is_started_less_and_less_often_until_it_has_
     assert stack.next_spacing_s(30.0, lived_s=stack.STEADY_S) == stack.FIRST_S
 
 
-def test_instances_and_robots_are_numbered_and_who_serves_whom_is_told(
+def test_stack_logs_assignment_when_instances_serve_robots(
     robot: str, free_endpoint: str, tmp_path: Path, smal: Smal
 ) -> None:
     wanted = replace(

@@ -55,7 +55,7 @@ def test_info_describes_a_topic_with_its_schema(smal: Smal, name: str) -> None:
         ({"key": "smal/rescuebot/\x1b[2J\n"}, "not a topic of SMAL"),
     ],
 )
-def test_what_cannot_be_decoded_is_named_as_such(changes: dict[str, object], reason: str) -> None:
+def test_topic_reports_payload_when_decoding_fails(changes: dict[str, object], reason: str) -> None:
     strange = sample(EXAMPLES[Command], **changes)
     assert "not decodable (" in strange.line()
     assert reason in strange.line()
@@ -107,7 +107,7 @@ def test_no_router_is_one_line(mistake: Mistake, free_endpoint: str) -> None:
 KEY = "smal/rescuebot/command/teleop"
 
 
-def test_rates_and_sizes_are_those_of_what_came() -> None:
+def test_topic_hz_measures_received_messages() -> None:
     assert figures([(1.0, 10), (2.0, 20), (4.0, 60)], 3.0) == {
         "messages": 3, "rate_hz": pytest.approx(2 / 3), "min_s": 1.0, "max_s": 2.0, "std_s": 0.5,
         "bytes_per_s": 30.0, "mean_bytes": 30.0, "max_bytes": 60,

@@ -46,7 +46,7 @@ def same(some: Iterator[np.ndarray]) -> bool:
     return [one.tobytes() for one in some] == [describe(image).tobytes() for image in IMAGES]
 
 
-def test_workers_answer_bit_by_bit_as_threads_do_whatever_is_killed_and_are_nobody_elses(
+def test_workers_match_threads_when_workers_are_killed(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with Engine(None) as engine:
@@ -82,7 +82,7 @@ def test_workers_answer_bit_by_bit_as_threads_do_whatever_is_killed_and_are_nobo
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_scheduler_elsewhere_answers_the_same_to_who_has_the_certificate(
+def test_remote_scheduler_matches_threads_when_authenticated(
     address: str, keys: Path, tmp_path: Path
 ) -> None:
     with pytest.raises(UsageError, match="use tls://"):

@@ -3,15 +3,14 @@
 import json
 import math
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from schemas.base import KEYS
 from services.exporters.drives import FORMATS, NominalSpeeds, read, write
 from services.importers.drive import Tally
 from services.kit.cameras import camera_of
@@ -35,6 +34,7 @@ from tests.services.importers.test_formats import episode_of, imported
 pytest.importorskip("rosbags", reason="needs the extra formats")
 CAMERA = "observation.images.front"
 FRAMES = len(MADE)
+GAP = range(9, 13)  # Ticks without an image
 LOST_IN_VIDEO = 6.0
 """Grey levels of 255, on average over an image; the images of two ticks differ by more."""
 
@@ -58,50 +58,90 @@ def brought_back(source: Path, form: str, folder: Path, **fields: object) -> lis
     return [episode_of(file) for file in report.files]
 
 
-def images_of(video: Path) -> list[NDArray[np.uint8]]:
-    import av  # noqa: PLC0415 - of the extra `formats`
-
-    with av.open(str(video)) as container:
-        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
-
-
 def jpegs(episode: RecordedEpisode) -> dict[int, bytes]:
     return {tick: stamped_jpeg(bytes(payload))[1] for tick, payload in episode.images.items()}
 
 
-def check_way(episode: RecordedEpisode, without: Collection[int] = ()) -> None:
-    for tick in episode.odometry:
-        assert tick in without or episode.wheels(tick) == pytest.approx(poses()[tick], abs=1e-5)
-
-
-@pytest.mark.parametrize("form", ["rosbag2", "folder"])
-def test_what_is_imported_again_is_the_same_drive(form: str, tmp_path: Path) -> None:
-    """Images to the byte, every movement, where the wheels were, and ticks that were lost."""
-    file = recording(tmp_path / "recordings", lost=range(9, 13))
-    exported([file], form, tmp_path / "out")
-    (back,) = brought_back(
-        tmp_path / "out" / ("drive" if form == "rosbag2" else ""), form, tmp_path / "back"
-    )
+def tub_of(file: Path, folder: Path) -> Path:
+    """Write a recording as a tub. SMAL does not export tubs."""
     was = episode_of(file)
-    # What was nearer to a frame than an eighth of a second shows that.
-    assert set(back.images) - set(was.images) <= {9, 12}
-    assert {tick: jpeg for tick, jpeg in jpegs(back).items() if tick in was.images} == jpegs(was)
     made = atoms_of(was)
-    assert {tick: atom for tick, atom in atoms_of(back).items() if tick in was.images} == {
-        tick: made[tick] for tick in was.images
-    }
-    assert len(back.odometry) == len(back.images)
-    check_way(back, without={9, 12} if form == "folder" else ())
-    assert back.outcome == "found"
+    frames = [
+        ((START_NS + 10**8 * tick) / 1e9, jpeg, sources.KEYS_OF_CAR[made[tick]])
+        for tick, jpeg in jpegs(was).items()
+    ]
+    return sources.write_tub(folder, frames)
+
+
+class Kept(NamedTuple):
+    """The parts of a drive that a format keeps."""
+
+    source: str = ""  # Path in the exported folder
+    gaps: bool = True  # Otherwise another episode begins after a gap
+    image_bytes: bool = True
+    calibration: bool = False
+    odometry: bool = True
+
+
+KEPT = {
+    "rosbag2": Kept(source="drive", calibration=True),
+    "lerobot": Kept(gaps=False, image_bytes=False),
+    "donkeycar": Kept(odometry=False),
+    "folder": Kept(),
+}
+
+
+def from_first(episode: RecordedEpisode, ticks: list[int]) -> NDArray[np.float64]:
+    """Return the poses at ticks in the frame of the first pose."""
+    x, y, heading = np.array([episode.wheels(tick) for tick in ticks]).T
+    place = (x - x[0] + 1j * (y - y[0])) * np.exp(-1j * heading[0])
+    return np.stack([place.real, place.imag, heading - heading[0]], axis=1)
+
+
+def check_piece(was: RecordedEpisode, back: RecordedEpisode, ticks: list[int], kept: Kept) -> None:
+    """Check frames, times, movements and poses at ticks of the recorded drive."""
+    begin = 0 if kept.gaps else ticks[0]
+    there = [tick - begin for tick in ticks]
+    # An empty tick at the border of a gap shows the nearest frame.
+    assert set(back.images) - set(there) <= {GAP[0], GAP[-1]}
+    for tick in ticks:
+        jpeg = jpegs(was)[tick]
+        again = jpegs(back)[tick - begin]
+        off = np.abs(decode_jpeg(jpeg) - decode_jpeg(again).astype(float)).mean()
+        assert jpeg == again if kept.image_bytes else off < LOST_IN_VIDEO
+    times_ns = [stamped_jpeg(bytes(back.images[tick]))[0] for tick in there]
+    np.testing.assert_allclose(np.diff(times_ns), 10**8 * np.diff(ticks), atol=1e3)
+    made = [back.applied[tick].atom for tick in there[:-1]]
+    assert made == [MADE[tick] for tick in ticks[:-1]]
+    if kept.odometry:
+        np.testing.assert_allclose(from_first(back, there), from_first(was, ticks), atol=1e-5)
+    else:
+        assert not back.odometry
+
+
+@pytest.mark.parametrize("form", KEPT)
+def test_drive_is_unchanged_when_exported_and_imported(form: str, tmp_path: Path) -> None:
+    kept = KEPT[form]
+    file = recording(tmp_path / "recordings", lost=GAP)
+    if form == "donkeycar":
+        tub_of(file, tmp_path / "out")
+    else:
+        exported([file], form, tmp_path / "out")
+    was = episode_of(file)
+    back = brought_back(tmp_path / "out" / kept.source, form, tmp_path / "back")
+    pieces = [[*was.images]] if kept.gaps else [piece.tolist() for piece in was.pieces()]
+    for episode, ticks in zip(back, pieces, strict=True):
+        check_piece(was, episode, ticks, kept)
+    arrival = back[-1]
+    assert arrival.outcome == was.outcome
+    assert arrival.is_goal(max(arrival.images))
     assert was.camera is not None
-    kept = camera_of(was.camera) if form == "rosbag2" else None
-    assert (back.camera and camera_of(back.camera)) == kept
+    calibration = arrival.camera and camera_of(arrival.camera)
+    assert calibration == (camera_of(was.camera) if kept.calibration else None)
 
 
-def test_a_data_set_that_is_imported_again_is_the_same_drives(tmp_path: Path) -> None:
-    """All but what the video lost: movements, the way, who arrived; a gap makes two drives of one."""
+def test_dataset_splits_drive_when_ticks_are_missing(tmp_path: Path) -> None:
     files = [
-        recording(tmp_path / "recordings", "whole"),
         recording(tmp_path / "recordings", "failed", outcome="timeout"),
         recording(tmp_path / "recordings", "torn", lost=[10]),
     ]
@@ -112,35 +152,30 @@ def test_a_data_set_that_is_imported_again_is_the_same_drives(tmp_path: Path) ->
         in tally.lines()
     )
     back = brought_back(tmp_path / "set", "lerobot", tmp_path / "back")
-    assert [episode.outcome for episode in back] == ["found", "aborted", "aborted", "found"]
-    assert [len(episode.images) for episode in back] == [FRAMES, FRAMES, 10, FRAMES - 11]
-    assert list(atoms_of(back[0]).values()) == list(MADE)
-    assert list(atoms_of(back[3]).values()) == list(MADE[11:])
-    check_way(back[0])
+    assert [episode.outcome for episode in back] == ["aborted", "aborted", "found"]
+    assert [len(episode.images) for episode in back] == [FRAMES, 10, FRAMES - 11]
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_the_same_export_is_the_same_again(form: str, tmp_path: Path) -> None:
-    """To the byte, but for videos, whose encoder does not promise that: they show what was recorded, both times."""
+def test_export_is_identical_when_repeated(form: str, tmp_path: Path) -> None:
     files = [recording(tmp_path / "recordings", name) for name in ("one", "two")]
-    taken = [decode_jpeg(jpeg) for file in files for jpeg in jpegs(episode_of(file)).values()]
-    found: list[dict[Path, bytes]] = []
-    for folder in (tmp_path / "first", tmp_path / "again"):
-        exported(files, form, folder / "out")
-        every = sorted(path for path in folder.rglob("*") if path.is_file())
-        found.append(
-            {path.relative_to(folder): path.read_bytes() for path in every if path.suffix != ".mp4"}
-        )
-        shown = [image for path in every if path.suffix == ".mp4" for image in images_of(path)]
-        assert len(shown) == (2 * FRAMES if form == "lerobot" else 0)
-        for image, was in zip(shown, taken, strict=False):
-            assert np.abs(image - was.astype(float)).mean() < LOST_IN_VIDEO
-    assert found[0] == found[1] != {}
+    first = files_of(files, form, tmp_path / "first")
+    assert first
+    assert first == files_of(files, form, tmp_path / "again")
+
+
+def files_of(files: Sequence[Path], form: str, folder: Path) -> dict[Path, bytes]:
+    """Return the exported files without videos, whose encoder may vary."""
+    exported(files, form, folder)
+    return {
+        path.relative_to(folder): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.suffix != ".mp4"
+    }
 
 
 @pytest.mark.parametrize("share", [1.0, 0.5])
 def test_velocities_are_measured_by_the_wheels(share: float, tmp_path: Path) -> None:
-    """Of full speed, also where it was driven at half of it."""
     nominal, _ = exported(
         [recording(tmp_path / "recordings", share=share)], "folder", tmp_path / "out"
     )
@@ -150,8 +185,7 @@ def test_velocities_are_measured_by_the_wheels(share: float, tmp_path: Path) -> 
     assert {float(row.split(",")[3]) for row in rows} == {share * SPEED, -share * SPEED, 0.0}
 
 
-def test_a_turn_that_went_ahead_is_exported_so(tmp_path: Path) -> None:
-    """A car's: at 0.6 of its speed straight on."""
+def test_export_keeps_forward_speed_of_turns(tmp_path: Path) -> None:
     report, _ = imported(sources.donkeycar(tmp_path / "tub"), "donkeycar", tmp_path / "recordings")
     exported([Path(report.files[0])], "folder", tmp_path / "out", speed=2.0, turn_rate=1.0)
     rows = [line.split(",") for line in (tmp_path / "out" / "drive.csv").read_text().splitlines()]
@@ -160,7 +194,7 @@ def test_a_turn_that_went_ahead_is_exported_so(tmp_path: Path) -> None:
     assert velocities == {(2.0, 0.0), (1.2, 1.0), (1.2, -1.0), (0.0, 0.0)}
 
 
-def test_without_odometry_velocities_are_what_the_user_says(tmp_path: Path) -> None:
+def test_export_uses_given_velocities_when_odometry_is_missing(tmp_path: Path) -> None:
     file = recording(tmp_path / "recordings", odometry=False)
     with pytest.raises(
         JobError, match="episode drive: no odometry for the speed of forward; give it with --speed"
@@ -180,7 +214,7 @@ def test_without_odometry_velocities_are_what_the_user_says(tmp_path: Path) -> N
     assert back.odometry[8].x_m == pytest.approx(0.4)
 
 
-def test_drives_with_and_without_odometry_are_in_one_folder_and_one_data_set(
+def test_export_joins_drives_when_some_lack_odometry(
     tmp_path: Path,
 ) -> None:
     files = [
@@ -197,8 +231,8 @@ def test_drives_with_and_without_odometry_are_in_one_folder_and_one_data_set(
     )
 
 
-def test_a_bag_has_what_a_robot_would_have_sent(tmp_path: Path) -> None:
-    """By its owners' reader, with the stamps at which it was seen."""
+def test_bag_has_the_topics_of_a_robot(tmp_path: Path) -> None:
+    """The reader of rosbags checks topics, types and stamps."""
     from rosbags.highlevel import AnyReader  # noqa: PLC0415
 
     file = recording(tmp_path / "recordings")
@@ -219,59 +253,38 @@ def test_a_bag_has_what_a_robot_would_have_sent(tmp_path: Path) -> None:
         ("/cmd_vel", "TwistStamped"): FRAMES, ("/imu", "Imu"): 2 * (FRAMES - 1),
     }  # fmt: skip
     for topic, _, stamp_ns, message in said:
-        stamps = (
-            [one.header.stamp for one in message.transforms]
-            if topic.startswith("/tf")
-            else [message.header.stamp]
-        )
-        assert [one.sec * 10**9 + one.nanosec for one in stamps] == [stamp_ns]
-    assert [at_ns for topic, _, at_ns, _ in said if topic == "/odom"] == [
-        START_NS + 10**8 * k for k in range(FRAMES)
-    ]
+        for one in message.transforms if topic.startswith("/tf") else [message]:
+            assert one.header.stamp.sec * 10**9 + one.header.stamp.nanosec == stamp_ns
     by_topic = {
         topic: [message for name, _, _, message in said if name == topic] for topic, *_ in said
     }
-    images = jpegs(episode_of(file))
-    each = (
-        by_topic[topic] for topic in ("/camera/image_raw/compressed", "/odom", "/tf", "/cmd_vel")
-    )
-    for tick, (image, odometry, moved, command) in enumerate(zip(*each, strict=True)):
-        x, y, heading = poses()[tick]
-        assert (image.data.tobytes(), image.format) == (images[tick], "jpeg")
-        (transform,) = moved.transforms
-        for one in (transform, odometry):
-            assert (one.header.frame_id, one.child_frame_id) == ("odom", "base_link")
-        for place, turn in (
-            (odometry.pose.pose.position, odometry.pose.pose.orientation),
-            (transform.transform.translation, transform.transform.rotation),
-        ):
-            assert (place.x, place.y, place.z) == (x, y, 0.0)
-            assert (turn.z, turn.w) == (math.sin(heading / 2), math.cos(heading / 2))
-        assert (odometry.twist.twist.linear.x, odometry.twist.twist.angular.z) == (1.5, 0.25)
-        ahead, left = KEYS[MADE[tick]]
-        assert command.twist.linear.x == pytest.approx(ahead * SPEED)
-        assert command.twist.angular.z == pytest.approx(left * TURN_RATE, abs=1e-4)
+    for odometry, moved, pose in zip(by_topic["/odom"], by_topic["/tf"], poses(), strict=True):
+        check_odometry(odometry, moved.transforms[0], pose)
     info = by_topic["/camera/camera_info"][0]
     imu = by_topic["/imu"][0]
-    assert (info.k[0], info.k[4], info.k[2], info.k[5], info.width, info.height) == (
-        44.8,
-        44.8,
-        32.0,
-        24.0,
-        64,
-        48,
-    )
-    assert (imu.linear_acceleration.z, imu.angular_velocity.z, imu.orientation_covariance[0]) == (
-        9.81,
-        0.06,
-        -1.0,
-    )
+    camera = (info.k[0], info.k[4], info.k[2], info.k[5], info.width, info.height)
+    assert camera == (44.8, 44.8, 32.0, 24.0, 64, 48)
+    inertia = imu.linear_acceleration.z, imu.angular_velocity.z, imu.orientation_covariance[0]
+    assert inertia == (9.81, 0.06, -1.0)
     # The camera looks ahead: its z is the robot's x, its x the robot's -y.
     turn = by_topic["/tf_static"][0].transforms[0].transform.rotation
     assert (turn.x, turn.y, turn.z, turn.w) == (-0.5, 0.5, -0.5, 0.5)
 
 
-def test_a_time_that_ros_cannot_say_is_one_line(tmp_path: Path) -> None:
+def check_odometry(odometry: Any, transform: Any, pose: corridor.Pose) -> None:
+    x, y, heading = pose
+    for one in (transform, odometry):
+        assert (one.header.frame_id, one.child_frame_id) == ("odom", "base_link")
+    for place, turn in (
+        (odometry.pose.pose.position, odometry.pose.pose.orientation),
+        (transform.transform.translation, transform.transform.rotation),
+    ):
+        assert (place.x, place.y, place.z) == (x, y, 0.0)
+        assert (turn.z, turn.w) == (math.sin(heading / 2), math.cos(heading / 2))
+    assert (odometry.twist.twist.linear.x, odometry.twist.twist.angular.z) == (1.5, 0.25)
+
+
+def test_export_rejects_times_that_exceed_ros(tmp_path: Path) -> None:
     file = recording(tmp_path / "recordings", start_ns=5 * 10**18)
     with pytest.raises(JobError, match="time 5000000000 s after 1970 is too large for ROS"):
         exported([file], "rosbag2", tmp_path / "out")
@@ -295,8 +308,8 @@ def table_of(path: Path) -> Any:
     return pq.read_table(path)
 
 
-def test_a_data_set_has_the_files_and_columns_of_lerobot(dataset: Path) -> None:
-    """As lerobot 0.4 writes them: it refuses rows with a column more or less than the description has."""
+def test_dataset_has_files_and_columns_of_lerobot(dataset: Path) -> None:
+    """lerobot 0.4 rejects rows whose columns differ from the description."""
     info = json.loads((dataset / "meta/info.json").read_text())
     assert (info["codebase_version"], info["fps"], info["total_episodes"]) == ("v3.0", 10, 2)
     assert (info["total_frames"], info["total_tasks"], info["splits"]) == (
@@ -334,8 +347,8 @@ def test_a_data_set_has_the_files_and_columns_of_lerobot(dataset: Path) -> None:
     assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
 
 
-def test_the_videos_of_a_data_set_show_every_frame_at_its_time(dataset: Path) -> None:
-    """Within the tolerance of lerobot, 1e-4 s; each is nearer to its view than to any other."""
+def test_dataset_videos_show_each_frame_at_its_time(dataset: Path) -> None:
+    """The tolerance of lerobot is 1e-4 s."""
     av = pytest.importorskip("av")
     views = np.stack([corridor.view(*pose) for pose in poses()]).astype(float)
     episodes = table_of(dataset / "meta/episodes/chunk-000/file-000.parquet").to_pydict()
@@ -360,7 +373,7 @@ def test_the_videos_of_a_data_set_show_every_frame_at_its_time(dataset: Path) ->
             assert off[frame] < min(off.min() + 0.5, 10.0)
 
 
-def test_the_statistics_of_a_data_set_are_those_of_its_values(dataset: Path) -> None:
+def test_dataset_statistics_match_its_values(dataset: Path) -> None:
     stats = json.loads((dataset / "meta/stats.json").read_text())
     rows = table_of(dataset / "data/chunk-000/file-000.parquet").to_pydict()
     assert set(stats) == set(json.loads((dataset / "meta/info.json").read_text())["features"])
@@ -382,7 +395,7 @@ def test_the_statistics_of_a_data_set_are_those_of_its_values(dataset: Path) -> 
     assert episodes["stats/action/max"][0] == stats["action"]["max"]
 
 
-def test_images_that_a_video_has_no_room_for_are_said(tmp_path: Path) -> None:
+def test_export_reports_images_when_sizes_are_unsupported(tmp_path: Path) -> None:
     odd = {tick: encode_jpeg(np.zeros((49, 65, 3), np.uint8)) for tick in range(FRAMES)}
     with pytest.raises(
         JobError,
@@ -395,10 +408,8 @@ def test_images_that_a_video_has_no_room_for_are_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_damaged_images_and_a_frame_without_a_movement_are_counted(
-    form: str, tmp_path: Path
-) -> None:
-    """Of a recorder that was killed the last frame does not tell what was done then; it is no arrival either."""
+def test_export_counts_damaged_images_and_open_frames(form: str, tmp_path: Path) -> None:
+    """A killed recorder leaves a last frame without a movement."""
     file = recording(
         tmp_path / "recordings", jpeg={3: b"GIF89a", 4: b"\xff\xd8\xff\xd9"}, outcome=None
     )
@@ -411,7 +422,7 @@ def test_damaged_images_and_a_frame_without_a_movement_are_counted(
         } == {"aborted"}
 
 
-def test_what_cannot_be_read_is_said_and_the_rest_exported(tmp_path: Path) -> None:
+def test_export_reports_unreadable_files_and_keeps_the_rest(tmp_path: Path) -> None:
     whole = recording(tmp_path / "recordings")
     copy = tmp_path / "copy.mcap"
     noise = tmp_path / "noise.mcap"

@@ -23,6 +23,14 @@ from tests import corridor
 LEGS: Final = ((1.5, 2.0, 0.0), (0.4, 0.0, 0.8), (0.4, 0.0, -0.8), (1.0, 2.0, 0.0))
 START_S: Final = 1_700_000_000.0
 CAMERA: Final = "observation.images.front"
+#: Angle and throttle of a car for each movement. It turns only while it drives.
+KEYS_OF_CAR: Final = {
+    "forward": (0.0, 0.5),
+    "backward": (0.0, -0.5),
+    "left": (-1.0, 0.3),
+    "right": (1.0, 0.3),
+    "stop": (0.0, 0.0),
+}
 
 
 class Moment(NamedTuple):
@@ -37,6 +45,13 @@ class Moment(NamedTuple):
     def image(self) -> NDArray[np.uint8]:
         """What the camera sees."""
         return corridor.view(*self.pose)
+
+    @property
+    def atom(self) -> str:
+        """Movement from this time on."""
+        if self.angular:
+            return "left" if self.angular > 0 else "right"
+        return "forward" if self.linear else "stop"
 
 
 def drive(rate_hz: float = 20.0) -> list[Moment]:
@@ -84,17 +99,32 @@ def donkeycar(
     deleted: tuple[int, ...] = (), announced: int | None = None,
 ) -> Path:  # fmt: skip
     """Write a tub; nothing of this is done by donkeycar itself, whose package needs TensorFlow."""
+    moments = drive(rate_hz)
+    frames = [(one.time_s, encode_jpeg(one.image), KEYS_OF_CAR[one.atom]) for one in moments]
+    return write_tub(folder, frames, change, deleted, announced)
+
+
+def write_tub(
+    folder: Path,
+    frames: list[tuple[float, bytes, tuple[float, float]]],
+    change: Callable[[dict[str, Any]], object] = lambda _record: None,
+    deleted: tuple[int, ...] = (),
+    announced: int | None = None,
+) -> Path:
+    """Write a tub of frames: time, JPEG, angle and throttle."""
     (folder / "images").mkdir(parents=True)
     lines = []
-    for index, moment in enumerate(drive(rate_hz)):
+    for index, (time_s, jpeg, (angle, throttle)) in enumerate(frames):
         name = f"{index}_cam_image_array_.jpg"
-        (folder / "images" / name).write_bytes(encode_jpeg(moment.image))
-        # A car turns only while it drives: on the spot it would have to be pushed.
+        (folder / "images" / name).write_bytes(jpeg)
         record: dict[str, Any] = {
-            "_index": index, "_timestamp_ms": round(1000 * moment.time_s), "cam/image_array": name,
-            "user/angle": -1.0 if moment.angular > 0 else float(moment.angular < 0),
-            "user/throttle": 0.3 if moment.angular else moment.linear / 4.0, "user/mode": "user",
-        }  # fmt: skip
+            "_index": index,
+            "_timestamp_ms": round(1000 * time_s),
+            "cam/image_array": name,
+            "user/angle": angle,
+            "user/throttle": throttle,
+            "user/mode": "user",
+        }
         change(record)
         lines.append(json.dumps(record))
     (folder / "catalog_0.catalog").write_text("\n".join(lines) + "\n")
@@ -153,9 +183,6 @@ def lerobot(
     folder: Path, version: str = "v3.0", *, video: bool = True, episodes: int = 2, fps: int = 20
 ) -> Path:
     """Write a LeRobotDataset of a LeKiwi, whose turn rate is in degrees a second."""
-    import pyarrow as pa  # noqa: PLC0415
-    import pyarrow.parquet as pq  # noqa: PLC0415
-
     moments = drive(fps)
     (folder / "meta").mkdir(parents=True)
     names = ["arm_wrist.pos", "x.vel", "y.vel", "theta.vel"]
@@ -167,27 +194,10 @@ def lerobot(
         },
     }  # fmt: skip
     (folder / "meta/info.json").write_text(json.dumps(info))
-    rows: list[dict[str, Any]] = []
-    for episode in range(episodes):
-        for number, moment in enumerate(moments):
-            action = [0.5, moment.linear, 0.0, math.degrees(moment.angular)]
-            row: dict[str, Any] = {
-                "action": action,
-                "timestamp": number / fps,
-                "episode_index": episode,
-            }
-            rows.append(
-                row
-                | ({} if video else {CAMERA: {"bytes": encode_jpeg(moment.image), "path": None}})
-            )
+    rows = _rows(moments, episodes, fps, video=video)
     pixels = [moment.image for moment in moments]
-
-    def table(path: str, content: list[dict[str, Any]]) -> None:
-        (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(pa.Table.from_pylist(content), folder / path)
-
     if version == "v3.0":
-        table("data/chunk-000/file-000.parquet", rows)
+        _table(folder / "data/chunk-000/file-000.parquet", rows)
         described = [
             {
                 "episode_index": episode, "length": len(moments), "data/chunk_index": 0, "data/file_index": 0,
@@ -196,7 +206,7 @@ def lerobot(
             }
             for episode in range(episodes)
         ]  # fmt: skip
-        table("meta/episodes/chunk-000/file-000.parquet", described)
+        _table(folder / "meta/episodes/chunk-000/file-000.parquet", described)
         if video:
             mp4(folder / f"videos/{CAMERA}/chunk-000/file-000.mp4", pixels * episodes, fps)
         return folder
@@ -207,10 +217,33 @@ def lerobot(
     (folder / "meta/episodes.jsonl").write_text("\n".join(lines) + "\n")
     for episode in range(episodes):
         mine = [row for row in rows if row["episode_index"] == episode]
-        table(f"data/chunk-000/episode_{episode:06d}.parquet", mine)
+        _table(folder / f"data/chunk-000/episode_{episode:06d}.parquet", mine)
         if video:
             mp4(folder / f"videos/chunk-000/{CAMERA}/episode_{episode:06d}.mp4", pixels, fps)
     return folder
+
+
+def _rows(moments: list[Moment], episodes: int, fps: int, *, video: bool) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = []
+    for episode in range(episodes):
+        for number, moment in enumerate(moments):
+            row: dict[str, Any] = {
+                "action": [0.5, moment.linear, 0.0, math.degrees(moment.angular)],
+                "timestamp": number / fps,
+                "episode_index": episode,
+            }
+            if not video:
+                row[CAMERA] = {"bytes": encode_jpeg(moment.image), "path": None}
+            rows.append(row)
+    return rows
+
+
+def _table(path: Path, content: list[dict[str, Any]]) -> None:
+    import pyarrow as pa  # noqa: PLC0415
+    import pyarrow.parquet as pq  # noqa: PLC0415
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.Table.from_pylist(content), path)
 
 
 def mp4(path: Path, images: list[NDArray[np.uint8]], fps: int) -> None:

@@ -95,9 +95,7 @@ def test_a_bag_is_imported(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["mcap", "db3"])
-def test_the_bare_file_of_a_bag_is_imported_too_and_a_grey_camera_is_a_camera(
-    suffix: str, tmp_path: Path
-) -> None:
+def test_bag_file_is_imported_when_camera_is_grey(suffix: str, tmp_path: Path) -> None:
     (file,) = sources.rosbag2(tmp_path / "bag", sqlite=suffix == "db3", raw="mono8").glob(
         f"*.{suffix}"
     )
@@ -138,7 +136,7 @@ def test_a_lerobot_data_set_is_imported(version: str, video: bool, tmp_path: Pat
     assert [Path(file).name[:2] for file in report.files] == ["1-"]
 
 
-def test_velocities_of_a_data_set_can_be_named_and_going_sideways_is_counted(
+def test_dataset_counts_sideways_when_velocities_are_named(
     tmp_path: Path,
 ) -> None:
     dataset = sources.lerobot(tmp_path / "set", video=False, episodes=1)
@@ -151,7 +149,7 @@ def test_velocities_of_a_data_set_can_be_named_and_going_sideways_is_counted(
     assert f"{FRAMES} frames go sideways, without a matching action" in tally.lines()
 
 
-def test_a_tub_is_imported(tmp_path: Path) -> None:
+def test_tub_has_odometry_when_speeds_are_given(tmp_path: Path) -> None:
     report, tally = imported(sources.donkeycar(tmp_path / "tub"), "donkeycar", tmp_path / "out")
     episode = episode_of(report)
     check_drive(episode)
@@ -170,7 +168,7 @@ def test_a_tub_is_imported(tmp_path: Path) -> None:
     )
 
 
-def test_what_is_not_a_persons_drive_is_left_out_and_its_time_is_a_gap(tmp_path: Path) -> None:
+def test_tub_has_a_gap_when_records_are_not_by_a_person(tmp_path: Path) -> None:
     def change(record: dict[str, object]) -> None:
         record["_session_id"] = f"s{int(str(record['_index'])) // 40}"
         if int(str(record["_index"])) >= 60:
@@ -211,7 +209,7 @@ def test_a_slow_camera_shows_frames_twice(tmp_path: Path) -> None:
     )
 
 
-def test_success_is_what_the_source_or_the_user_says(tmp_path: Path) -> None:
+def test_outcome_follows_the_user_before_the_source(tmp_path: Path) -> None:
     folder = sources.csv_folder(tmp_path / "set")
     text = (folder / "drive.csv").read_text().splitlines()
     (folder / "drive.csv").write_text(
@@ -238,8 +236,7 @@ FORMATS: dict[str, Callable[[Path], Path]] = {
 
 
 @pytest.mark.parametrize("form", ["donkeycar", "rosbag2"])
-def test_an_imported_drive_teaches_where_the_robot_is(form: str, tmp_path: Path) -> None:
-    """Learn from what was imported; then a drive in the same corridor is followed, place by place."""
+def test_imported_drive_teaches_localisation(form: str, tmp_path: Path) -> None:
     report, _ = imported(FORMATS[form](tmp_path / "source"), form, tmp_path / "out")
     teacher = Teacher(corridor.FEATURES, shortest=2)
     teacher.read(Path(report.files[0]))
@@ -258,10 +255,8 @@ def test_an_imported_drive_teaches_where_the_robot_is(form: str, tmp_path: Path)
 
 
 @pytest.mark.parametrize(("form", "ahead"), [("donkeycar", 0.6), ("folder", 0.0)])
-def test_a_turn_is_taught_with_the_speed_that_it_was_driven_with(
-    form: str, ahead: float, tmp_path: Path
-) -> None:
-    """The car drives its turns at 0.3 of full throttle, and straight on at 0.5; the other robot turns on the spot."""
+def test_imported_turn_keeps_its_forward_speed(form: str, ahead: float, tmp_path: Path) -> None:
+    """The car turns at 0.3 of full throttle and drives straight on at 0.5."""
     report, _ = imported(FORMATS[form](tmp_path / "source"), form, tmp_path / "out", reckon=False)
     teacher = Teacher(corridor.FEATURES, shortest=2)
     teacher.read(Path(report.files[0]))
@@ -271,7 +266,7 @@ def test_a_turn_is_taught_with_the_speed_that_it_was_driven_with(
     assert np.median(demonstration.ahead[turns]) == pytest.approx(ahead, abs=1e-4)
 
 
-def test_an_import_is_the_same_every_time_and_another_source_is_another(tmp_path: Path) -> None:
+def test_import_names_are_stable_and_differ_by_source(tmp_path: Path) -> None:
     one = sources.csv_folder(tmp_path / "one")
     other = sources.csv_folder(tmp_path / "other", 30.0)
     reports = [

@@ -68,7 +68,7 @@ FILES: list[tuple[str, Callable[[Path], Path], str]] = [
 @pytest.mark.parametrize(
     ("form", "make", "name"), FILES, ids=[f"{form}-{Path(name).name}" for form, _, name in FILES]
 )
-def test_a_damaged_file_is_one_line_or_counted(
+def test_import_reports_or_counts_damage(
     form: str, make: Callable[[Path], Path], name: str, tmp_path: Path
 ) -> None:
     file = make(tmp_path / "bag") / name
@@ -86,7 +86,7 @@ def test_a_damaged_file_is_one_line_or_counted(
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_what_is_not_there_is_named(form: str, tmp_path: Path) -> None:
+def test_import_reports_missing_files(form: str, tmp_path: Path) -> None:
     assert "no such file or directory" in refused(tmp_path / "none", form, tmp_path).lower()
     (tmp_path / "empty").mkdir()
     assert str(tmp_path / "empty") in refused(tmp_path / "empty", form, tmp_path)
@@ -141,7 +141,7 @@ def test_a_bag_that_is_a_link_out_of_its_folder_is_not_read(suffix: str, tmp_pat
     "text",
     ["#EXTM3U\n#EXTINF:9,\nfile://{0}\n#EXT-X-ENDLIST\n", "ffconcat version 1.0\nfile '{0}'\n"],
 )
-def test_a_playlist_that_calls_itself_a_video_opens_nothing(text: str, tmp_path: Path) -> None:
+def test_import_opens_no_files_when_video_is_a_playlist(text: str, tmp_path: Path) -> None:
     dataset = sources.lerobot(tmp_path / "set")
     (dataset / VIDEO).rename(tmp_path / "elsewhere.mp4")
     (dataset / VIDEO).write_text(text.format(tmp_path / "elsewhere.mp4"))
@@ -167,7 +167,7 @@ def jpeg_that_claims(pixels: int) -> bytes:
     return jpeg[:at] + pixels.to_bytes(2, "big") * 2 + jpeg[at + 4 :]
 
 
-def test_an_image_that_is_none_is_counted(tmp_path: Path) -> None:
+def test_import_counts_invalid_images(tmp_path: Path) -> None:
     images = [
         png_that_claims(30_000, 30_000), png_that_claims(4000, 3000), png_that_claims(0, 0), png_that_claims(2**31, 1),
         jpeg_that_claims(32_700), encode_jpeg(sources.drive()[0].image)[:-300],
@@ -199,7 +199,7 @@ NUMBERS = [
 
 
 @pytest.mark.parametrize("field", ["_index", "_timestamp_ms", "user/angle", "user/throttle"])
-def test_a_number_of_a_tub_that_is_none_is_counted(field: str, tmp_path: Path) -> None:
+def test_import_counts_invalid_numbers_of_a_tub(field: str, tmp_path: Path) -> None:
     tub = sources.donkeycar(tmp_path / "tub")
     lines = (tub / CATALOG).read_text().splitlines()
     for row, number in enumerate(NUMBERS):
@@ -277,7 +277,7 @@ def test_tables_that_say_nonsense_are_named(
     assert said.lower() in refused(dataset, "lerobot", tmp_path).lower()
 
 
-def test_wrong_counts_and_a_video_that_ends_early_are_said(tmp_path: Path) -> None:
+def test_import_reports_wrong_counts_and_short_video(tmp_path: Path) -> None:
     dataset = sources.lerobot(tmp_path / "set")
     replaced(dataset / INFO, '"total_episodes": 2', '"total_episodes": 99')
     rewrite(dataset, EPISODES, lambda row: row.update(length=10**12))
@@ -323,7 +323,7 @@ def test_episode_is_read_once_when_it_is_described_again(tmp_path: Path) -> None
     assert tally.counts["episodes are described again (read once)"] == 98
 
 
-def test_a_bag_whose_end_is_missing_gives_its_whole_messages(tmp_path: Path) -> None:
+def test_import_reads_whole_messages_when_bag_end_is_missing(tmp_path: Path) -> None:
     bag = sources.rosbag2(tmp_path / "bag")
     (bag / "bag.mcap").write_bytes((bag / "bag.mcap").read_bytes()[:-30])
     report, tally = imported(bag, "rosbag2", tmp_path / "out")
@@ -358,7 +358,9 @@ def test_a_bag_whose_end_is_missing_gives_its_whole_messages(tmp_path: Path) -> 
     ],
     ids=lambda text: text[:60],
 )  # fmt: skip
-def test_a_database_that_is_no_bag_is_named(statement: str, said: str, tmp_path: Path) -> None:
+def test_import_rejects_databases_that_are_not_bags(
+    statement: str, said: str, tmp_path: Path
+) -> None:
     bag = sources.rosbag2(tmp_path / "bag", sqlite=True)
     with sqlite3.connect(bag / "bag.db3") as database:
         database.executescript(statement)
@@ -366,7 +368,7 @@ def test_a_database_that_is_no_bag_is_named(statement: str, said: str, tmp_path:
     assert said in refused(bag, "rosbag2", tmp_path)
 
 
-def test_a_packed_message_that_unpacks_to_all_memory_is_named(tmp_path: Path) -> None:
+def test_import_rejects_messages_that_unpack_too_large(tmp_path: Path) -> None:
     from zstandard import ZstdCompressor  # noqa: PLC0415
 
     bag = sources.rosbag2(tmp_path / "bag", sqlite=True)
@@ -401,13 +403,13 @@ def test_a_packed_message_that_unpacks_to_all_memory_is_named(tmp_path: Path) ->
     ],
     ids=["empty", "columns", "rows", "line", "quote", "numbers", "times", "still"],
 )
-def test_a_table_that_says_nonsense_is_named(text: str, said: str, tmp_path: Path) -> None:
+def test_import_rejects_invalid_tables(text: str, said: str, tmp_path: Path) -> None:
     folder = sources.csv_folder(tmp_path / "set")
     (folder / "drive.csv").write_text(text)
     assert said in refused(folder, "folder", tmp_path)
 
 
-def test_a_folder_of_bags_and_a_recording_of_our_own_are_no_bag(tmp_path: Path) -> None:
+def test_import_rejects_bag_folders_and_own_recordings(tmp_path: Path) -> None:
     bag = sources.rosbag2(tmp_path / "bags/monday")
     assert "monday in it is a bag: import each bag separately" in refused(
         tmp_path / "bags", "rosbag2", tmp_path

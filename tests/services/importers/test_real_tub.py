@@ -32,7 +32,7 @@ BEGIN_S = (
 
 
 @pytest.mark.skipif(not CIRCLES.is_dir(), reason=f"{CIRCLES} is not here")
-def test_a_lap_at_full_lock_is_learned_and_another_one_recognized_and_driven(
+def test_lap_of_a_real_car_teaches_other_laps(
     tmp_path: Path,
 ) -> None:
     def lap(number: int) -> ImportReport:

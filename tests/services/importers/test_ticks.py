@@ -32,7 +32,7 @@ def moves(*rows: tuple[float, float, float]) -> Moves:
 
 
 @given(st.lists(st.floats(0.0, 30.0), min_size=1, max_size=60).map(sorted))
-def test_every_tick_shows_the_nearest_frame_and_none_that_is_far(times_s: list[float]) -> None:
+def test_ticks_show_the_nearest_frame_within_the_gap(times_s: list[float]) -> None:
     numbers, frames, _ = shown(times_s)
     assert numbers == sorted(set(numbers))
     assert numbers[0] == 0
@@ -58,7 +58,7 @@ def test_a_camera_of_ten_hertz_that_jitters_has_each_frame_once(jitter_s: float)
     assert tally.lines() == []
 
 
-def test_a_gap_is_a_gap_and_counted() -> None:
+def test_ticks_are_missing_when_frames_have_a_gap() -> None:
     numbers, _, tally = shown([0.0, 0.1, 0.2, 5.0, 5.1])
     assert numbers == [0, 1, 2, 3, 49, 50, 51]
     assert tally.counts == {"ticks have no frame": 45, "ticks show the frame of the tick before": 2}
@@ -82,7 +82,7 @@ ROWS = st.lists(
 
 
 @given(ROWS)
-def test_a_velocity_holds_until_the_next_and_as_long_as_a_base_obeys(
+def test_velocity_holds_until_the_next_or_the_timeout(
     rows: list[tuple[float, float, float]],
 ) -> None:
     motion = motion_of(rows, Tally())
@@ -91,7 +91,7 @@ def test_a_velocity_holds_until_the_next_and_as_long_as_a_base_obeys(
     assert gone == pytest.approx((motion[:, 1:] * holds_s[:, None]).sum(axis=0), abs=1e-6)
 
 
-def test_a_silent_driver_stands() -> None:
+def test_velocity_is_zero_when_driver_is_silent() -> None:
     due_s = 0.1 * np.arange(55)
     linear, _ = moves((0.0, 1.0, 0.0), (5.0, 1.0, 0.0)).velocities(due_s).T
     assert linear[:5] == pytest.approx(1.0)
@@ -101,7 +101,7 @@ def test_a_silent_driver_stands() -> None:
 
 
 def test_a_way_is_reckoned_as_the_robot_drives_it() -> None:
-    """A quarter of a circle of 2 m, and then a turn on the spot."""
+    """The robot drives a quarter of a circle of 2 m, then turns on the spot."""
     quarter = math.pi / 2.0
     rows = [
         (0.1 * k, 0.2 * math.pi / 2.0, quarter / 5.0) if k < 50 else (0.1 * k, 0.0, -quarter)
@@ -122,7 +122,7 @@ def tracked(
     return found
 
 
-def test_odometry_begins_at_zero_and_its_heading_may_pass_half_a_turn() -> None:
+def test_odometry_begins_at_zero_when_heading_wraps() -> None:
     rows = [(0.1 * k, 5.0, -2.0, math.remainder(3.0 + 0.1 * k, math.tau)) for k in range(20)]
     poses, known = tracked(rows, 0.05 + 0.1 * np.arange(18))
     assert known.all()
@@ -138,14 +138,14 @@ def test_odometry_that_jumps_is_named() -> None:
         tracked(rows, 0.1 * np.arange(20))
 
 
-def test_where_odometry_was_silent_there_is_none() -> None:
+def test_odometry_is_unknown_when_source_is_silent() -> None:
     rows = [(0.1 * k, 0.1 * k, 0.0, 0.0) for k in range(40) if not 10 <= k < 30]
     _, known = tracked(rows, 0.1 * np.arange(40))
     assert set(range(15, 25)) <= set(np.flatnonzero(~known).tolist()) <= set(range(14, 26))
 
 
 @pytest.mark.parametrize("scale", [0.2, 30.0])
-def test_atoms_are_shares_of_what_is_usual_and_velocities_are_kept(scale: float) -> None:
+def test_atoms_follow_shares_of_nominal_velocities(scale: float) -> None:
     usual = nominal(scale * np.array([[1.0, 0.0], [1.0, 1.0], [1.0, -1.0]]))
     table = [
         (1.0, 0.0, "forward"), (-1.0, 0.0, "backward"), (0.0, 1.0, "left"), (0.0, -1.0, "right"), (0.0, 0.0, "stop"),
@@ -157,9 +157,7 @@ def test_atoms_are_shares_of_what_is_usual_and_velocities_are_kept(scale: float)
     np.testing.assert_allclose(shares, np.clip([row[:2] for row in table], -1.0, 1.0), atol=1e-6)
 
 
-def test_noise_of_a_robot_that_never_turns_is_no_turn_and_one_that_never_drives_teaches_nothing() -> (
-    None
-):
+def test_noise_is_no_turn_when_robot_never_turns() -> None:
     velocities = np.stack([np.ones(100), np.random.default_rng(1).normal(0.0, 0.01, 100)], axis=1)
     assert {share.atom() for share in shares_of(velocities, nominal(velocities))} == {"forward"}
     with pytest.raises(ImportFailure, match="the robot never drives"):

@@ -37,7 +37,7 @@ def read_messages(folder: Path, messages: list[Message]) -> Recording:
     return read_recording(record(folder, messages))
 
 
-def test_read_back_is_what_was_sent(tmp_path: Path) -> None:
+def test_recording_is_unchanged_when_read_back(tmp_path: Path) -> None:
     recording = read_messages(tmp_path, list(episode("drive-1", purpose="recovery")))
     (read,) = recording.episodes
     assert (recording.truncated, recording.bad) == (False, 0)
@@ -77,7 +77,6 @@ def test_read_back_is_what_was_sent(tmp_path: Path) -> None:
 def test_pieces_split_when_a_frame_lacks_image_or_odometry(
     tmp_path: Path, lost: str, ticks: list[int], pieces: list[list[int]]
 ) -> None:
-    """Odometry that most frames lack splits nothing."""
     sent = [m for m in episode("e") if m.topic_name != lost or m.tick not in ticks]
     (read,) = read_messages(tmp_path, sent).episodes
     assert [piece.tolist() for piece in read.pieces()] == pieces
@@ -98,7 +97,7 @@ def test_no_piece_spans_a_gap(tmp_path: Path) -> None:
     assert [read.is_goal(piece[-1]) for piece in pieces] == [False, False, True]
 
 
-def test_the_goal_is_the_last_frame_of_an_episode_that_ended_found(tmp_path: Path) -> None:
+def test_goal_is_the_last_frame_when_outcome_is_found(tmp_path: Path) -> None:
     whole = list(episode("e", frames=4))
     passed = [*whole[:-1], applied("e", 3), *frame("e", 4), event("e", 4, "ended", "aborted")]
     came_back = [*passed[:-1], event("e", 4, "ended", "found")]
@@ -113,7 +112,7 @@ def test_the_goal_is_the_last_frame_of_an_episode_that_ended_found(tmp_path: Pat
     assert goals == [[(3, True)], [(3, False)], [(4, True)], [(3, False)], [(2, False)]]
 
 
-def test_a_file_cut_anywhere_is_read_but_for_the_second_that_is_cut(tmp_path: Path) -> None:
+def test_reader_loses_one_second_when_file_is_cut(tmp_path: Path) -> None:
     content = record(tmp_path, list(episode("e", frames=24))).read_bytes()
     cut = tmp_path / "cut.mcap"
     read = []
@@ -175,10 +174,10 @@ def held_by(*files: str) -> int:
     return sum(trace.size for trace in taken.traces)
 
 
-def test_what_the_recorder_and_its_writer_hold_does_not_grow_with_the_drive(
+def test_recorder_memory_is_constant_during_a_drive(
     settings: ServiceSettings, tmp_path: Path
 ) -> None:
-    """With a clock that runs as the drive does: two minutes of four messages a tick, looked after each second."""
+    """The drive lasts two minutes with four messages a tick."""
     told = [
         image("e", 0),
         applied("e", 0, sequence=0),
@@ -212,10 +211,8 @@ def test_what_the_recorder_and_its_writer_hold_does_not_grow_with_the_drive(
     assert len(read_all(tmp_path / "e.mcap")) == 1 + 4 * ticks
 
 
-def test_what_waits_for_its_episode_is_bounded_and_counted(
-    settings: ServiceSettings, tmp_path: Path
-) -> None:
-    """Frames of an episode that nobody began, as large as they may be; of those that fit none is lost."""
+def test_early_messages_are_bounded_and_counted(settings: ServiceSettings, tmp_path: Path) -> None:
+    """Frames of the largest size arrive for an episode without a start."""
     with Node("recorder", settings) as node:
         recorder = RecorderService(node, tmp_path, tmp_path)
         largest = CompressedImage.after(

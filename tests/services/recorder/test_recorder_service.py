@@ -111,7 +111,7 @@ def test_one_file_an_episode_with_every_message(
     assert ready(client, "recorder").detail["duplicates"] == 0
 
 
-def test_what_comes_before_the_beginning_and_after_the_end_is_kept(
+def test_messages_are_kept_before_start_and_after_end(
     recorder: RecorderService, client: Bus, tmp_path: Path
 ) -> None:
     start, *most, end = list(episode("drive-1"))
@@ -124,7 +124,7 @@ def test_what_comes_before_the_beginning_and_after_the_end_is_kept(
     assert partial_of(tmp_path / "drive-2.mcap").exists()
 
 
-def test_nothing_is_recorded_before_start_and_after_stop(
+def test_recorder_is_idle_before_start_and_after_stop(
     settings: ServiceSettings, run_node: RunNode, client: Bus, tmp_path: Path
 ) -> None:
     node = Node("recorder", settings)
@@ -166,7 +166,6 @@ def no_space(*_: object) -> None:
 def test_a_full_disk_ends_the_file_and_not_the_recorder(
     recorder: RecorderService, client: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What had been written is sealed when there is room."""
     monkeypatch.setattr("services.recordings.writer.Sink", FullDisk)
     sent = list(episode("full", frames=40))
     publish(client, sent)
@@ -217,14 +216,14 @@ def test_sigterm_finishes_the_running_recording(
     assert len(read_all(tmp_path / "cut.mcap")) == 1 + len(frame("cut", 0))
 
 
-def test_what_a_kill_cut_off_is_awaited_although_its_episode_has_ended_meanwhile(
+def test_recorder_awaits_messages_when_cut_episode_has_ended(
     settings: ServiceSettings,
     run_node: RunNode,
     client: Bus,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """On a busy machine the files were named before anything of it was sent again, and the rest was lost."""
+    """On a busy machine the files were named before messages were sent again."""
     monkeypatch.setattr("services.recorder.service.EARLY_S", 2.0)
     sent = list(episode("cut", frames=20))
     leave(tmp_path, sent[:30])
@@ -241,10 +240,9 @@ def test_what_a_kill_cut_off_is_awaited_although_its_episode_has_ended_meanwhile
 
 
 @pytest.mark.zenoh
-def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
+def test_recorder_keeps_all_messages_when_killed_and_restarted(
     request: pytest.FixtureRequest, process: subprocess.Popen[str], client: Bus, tmp_path: Path
 ) -> None:
-    """What was not written yet, and what was sent meanwhile, is had from the senders, in a file of its own."""
     introduce(client, "recorder", *introductions())
     before = list(episode("before", frames=3))
     killed = list(episode("killed", frames=40))
@@ -278,7 +276,7 @@ def test_a_recorder_that_is_killed_and_started_again_loses_nothing(
     assert verify(tmp_path / "whole.mcap").findings == []
 
 
-def test_a_recording_left_behind_is_sealed_and_what_is_still_sent_of_its_episode_is_another_one(
+def test_leftover_is_sealed_when_its_episode_continues(
     settings: ServiceSettings, tmp_path: Path
 ) -> None:
     sent = list(episode("e", frames=2))
@@ -339,7 +337,7 @@ class Room:
             recorder.look_after_files()
 
 
-def test_who_drives_is_told_in_time_and_a_drive_is_sealed_before_the_disk_is_full(
+def test_drive_is_sealed_before_the_disk_is_full(
     settings: ServiceSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     room = Room(LEAST_BYTES + 700 * IMAGE)

@@ -128,9 +128,7 @@ def poses(path: Path) -> Path:
 
 
 @pytest.mark.parametrize("make", [images, poses])
-def test_what_reading_takes_in_memory_is_bounded(
-    tmp_path: Path, make: Callable[[Path], Path]
-) -> None:
+def test_reading_takes_bounded_memory(tmp_path: Path, make: Callable[[Path], Path]) -> None:
     path = make(tmp_path / "bomb.mcap")
     peak, remarks = reading(path)
     assert peak < ALLOWED + BESIDE
@@ -138,8 +136,8 @@ def test_what_reading_takes_in_memory_is_bounded(
     assert remarks[0] == f"{path}: {why}or read fewer at once"
 
 
-def test_many_recordings_share_what_is_allowed(tmp_path: Path) -> None:
-    """Each teaches, and none alone is too much; what is left out or not kept leaves room for the next."""
+def test_recordings_share_one_memory_limit(tmp_path: Path) -> None:
+    """Each recording alone is within the limit."""
     teacher = Teacher(FeatureSettings(), 5)
     teacher._allowance = Allowance(ALLOWED)
     for number in range(3):
@@ -171,7 +169,7 @@ def drive(path: Path, name: str, padding: bytes = b"", purpose: Purpose = "drive
     return path
 
 
-def test_an_index_is_passed_over_and_what_is_taken_apart_is_small(tmp_path: Path) -> None:
+def test_reader_skips_index_and_parses_small_parts(tmp_path: Path) -> None:
     entries = struct.pack("<QQ", 1, 1) * (2 * MIB)
     index = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, len(entries) + 6, 1, len(entries)) + entries
     numbers = bytes(10) * (3 * MIB)
@@ -218,10 +216,10 @@ NO_RECORDS = [
 
 @pytest.mark.parametrize(("content", "why"), NO_RECORDS)
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
-def test_what_a_few_bytes_unpack_to_costs_no_time(
+def test_bomb_is_rejected_fast_when_unpacked(
     tmp_path: Path, content: bytes, why: str, compression: str
 ) -> None:
-    """A file of 2 kB once took 13 s of the processor, one of 1 MB took 4 GiB."""
+    """A file of 2 kB once took 13 s of processor time, a file of 1 MB took 4 GiB."""
     pack = zstandard.compress if compression == "zstd" else lz4.frame.compress
     path = write(
         tmp_path / "bomb.mcap", raw(Chunk(compression, pack(content), 0, 0, 0, len(content)))
@@ -237,8 +235,8 @@ def test_what_a_few_bytes_unpack_to_costs_no_time(
     assert time.process_time() - began_s < 3.0
 
 
-def test_what_looks_like_a_chunk_at_every_byte_is_not_searched_for_ever(tmp_path: Path) -> None:
-    """One megabyte took 19 s of processor time, and four times as long with each doubling."""
+def test_recovery_ends_when_every_byte_resembles_a_chunk(tmp_path: Path) -> None:
+    """1 MB once took 19 s of processor time, and four times as long at each doubling."""
     heads = bytearray(MAGIC + b"\xff" + bytes(20))
     head = CHUNK_HEAD.size
     behind = 2 * MIB

@@ -43,7 +43,7 @@ def mended(path: Path, out: Path) -> Path:
     return out
 
 
-def test_what_is_in_a_recording(tmp_path: Path) -> None:
+def test_info_lists_contents_of_a_recording(tmp_path: Path) -> None:
     path = driven_corridor.record(tmp_path)
     contents = contents_of(path)
     (one,) = contents.episodes
@@ -76,7 +76,7 @@ def test_what_is_in_a_recording(tmp_path: Path) -> None:
     assert one.topics["odometry"].rate_hz == pytest.approx(29 / 2.914)
 
 
-def test_what_came_late_is_told_in_its_place(tmp_path: Path) -> None:
+def test_contents_are_ordered_when_messages_come_late(tmp_path: Path) -> None:
     started, *rest, ended = episode("drive-1")
     told = []
     for folder, sent in ((tmp_path / "1", rest), (tmp_path / "2", [*rest[1::2], *rest[::2]])):
@@ -96,7 +96,7 @@ def test_what_came_late_is_told_in_its_place(tmp_path: Path) -> None:
     assert told[0] == told[1]
 
 
-def test_the_command_tells_it_and_names_what_is_no_recording(tmp_path: Path, smal: Smal) -> None:
+def test_info_reports_file_when_it_is_not_a_recording(tmp_path: Path, smal: Smal) -> None:
     driven_corridor.record(tmp_path)
     record(tmp_path, list(episode("drive-1", outcome="aborted")))
     first, second = json.loads(smal("recording", "info", tmp_path, "--json")[1])
@@ -154,9 +154,7 @@ def seconds_of(path: Path) -> list[tuple[int, int, int]]:
 
 
 @pytest.mark.parametrize("hole", [1, 4096])
-def test_any_damage_is_noticed_and_costs_the_seconds_that_it_is_in_alone(
-    tmp_path: Path, hole: int
-) -> None:
+def test_repair_loses_only_the_damaged_seconds(tmp_path: Path, hole: int) -> None:
     path = record(tmp_path, list(episode("e", frames=35)))
     content = path.read_bytes()
     whole = read_all(path)
@@ -175,7 +173,7 @@ def test_any_damage_is_noticed_and_costs_the_seconds_that_it_is_in_alone(
         out.unlink()
 
 
-def test_nothing_is_overwritten_but_when_told_to(tmp_path: Path, smal: Smal) -> None:
+def test_repair_overwrites_only_when_forced(tmp_path: Path, smal: Smal) -> None:
     sent = list(episode("e", frames=24))
     partial = leave(tmp_path, sent)
     other = tmp_path / "e.mcap"
@@ -211,7 +209,7 @@ def test_two_episodes_are_not_made_one(tmp_path: Path) -> None:
         repair(two, tmp_path / "both.mcap")
 
 
-def test_what_is_still_recorded_or_holds_nothing_is_refused(tmp_path: Path) -> None:
+def test_repair_rejects_open_and_empty_recordings(tmp_path: Path) -> None:
     writer = EpisodeWriter.begin(tmp_path, event("e", 0, "started"))
     writer.write(event("e", 0, "started"))
     writer.flush()

@@ -102,7 +102,7 @@ def test_json_schemas_are_of_the_kind_that_foxglove_reads(topic: Any) -> None:
     assert "$ref" not in json.dumps(schema)
 
 
-def test_what_is_sent_again_is_written_once_and_what_is_missing_is_named(tmp_path: Path) -> None:
+def test_writer_drops_duplicates_and_reports_missing_ticks(tmp_path: Path) -> None:
     again = [
         *frame("e", 0),
         *frame("e", 0),
@@ -136,7 +136,7 @@ def test_what_is_sent_again_is_written_once_and_what_is_missing_is_named(tmp_pat
         st.tuples(st.sampled_from(["pose/truth", "state", "command/applied"]), st.integers(0, 12))
     )
 )
-def test_the_ledger_misses_what_never_came_in_whatever_order_the_rest_did(
+def test_ledger_lists_missing_messages_in_any_order(
     sent: list[tuple[str, int]],
 ) -> None:
     ledger = Ledger()
@@ -162,8 +162,8 @@ def test_the_ledger_misses_what_never_came_in_whatever_order_the_rest_did(
     assert ledger.whole(12) == (not ledger.gap_ticks)
 
 
-def test_who_says_a_million_things_within_a_tick_does_not_fill_the_memory() -> None:
-    """With a stolen key of the policy that took 460 MB, and with four of them more than a recorder has."""
+def test_ledger_is_bounded_when_messages_flood_a_tick() -> None:
+    """A stolen key of the policy once filled 460 MB."""
     ledger = Ledger()
     one = command("e", 5, "policy")
     tracemalloc.start()
@@ -222,8 +222,7 @@ def exits_at(step: int) -> None:
         setattr(Path, name, counted(getattr(Path, name)))
 
 
-def test_a_kill_at_any_moment_loses_nothing_that_was_written(tmp_path: Path) -> None:
-    """While it is recorded, while it is sealed, and while what was left is sealed."""
+def test_written_messages_survive_when_recorder_is_killed(tmp_path: Path) -> None:
     sent = [
         message
         for message in episode("e", frames=33)
@@ -273,7 +272,7 @@ def _seal_killed_at(partial: Path, step: int) -> None:
     partial.unlink(missing_ok=True)  # it holds no message
 
 
-def test_what_is_being_recorded_or_foreign_is_let_be(tmp_path: Path) -> None:
+def test_sealing_skips_open_and_foreign_files(tmp_path: Path) -> None:
     living = EpisodeWriter.begin(tmp_path, event("living", 0, "started"))
     foreign = tmp_path / "foreign.mcap.partial"
     foreign.write_bytes(b"holiday pictures, not to be touched")
@@ -296,7 +295,7 @@ def test_what_is_being_recorded_or_foreign_is_let_be(tmp_path: Path) -> None:
     assert read_all(living.seal())
 
 
-def test_a_leftover_that_is_damaged_before_its_end_stays_as_it_is_for_repair(
+def test_leftover_is_kept_for_repair_when_damaged(
     tmp_path: Path,
 ) -> None:
     partial = leave(tmp_path, list(episode("e", frames=35)))
@@ -328,7 +327,6 @@ class FullDisk(Sink):
 def test_a_full_disk_is_told_how_many_messages_it_cost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Wherever the disk ends: within a chunk, or within the index behind it."""
     messages = list(episode("full", frames=25))
     whole = memoryview(leave(tmp_path, messages).read_bytes())
     end = next(head.end for head in heads(whole, len(MAGIC)) if head.opcode == Opcode.CHUNK)

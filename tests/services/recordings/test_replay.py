@@ -164,10 +164,9 @@ def check_decisions(client: Bus, robot: Node, path: Path, model: Model) -> list[
     return [velocity.atom() for velocity, _, _ in expected]
 
 
-def test_services_decide_on_a_replay_as_the_library_does_on_its_frames(
+def test_services_match_library_when_replayed(
     client: Bus, robot: Node, chain: Callable[[Model], None], tmp_path: Path
 ) -> None:
-    """The golden replay."""
     path = driven_corridor.record(tmp_path)
     chain(corridor.model())
     atoms = check_decisions(client, robot, path, corridor.model())
@@ -176,7 +175,7 @@ def test_services_decide_on_a_replay_as_the_library_does_on_its_frames(
     )
 
 
-def test_a_replay_tells_what_the_robot_told_and_never_a_command(
+def test_replay_publishes_robot_messages_without_commands(
     client: Bus, robot: Node, tmp_path: Path
 ) -> None:
     path = record(tmp_path, list(episode("drive-1", frames=4)))

@@ -137,7 +137,7 @@ def turned(quaternion: Any, vector: tuple[float, float, float]) -> tuple[float, 
     return tuple((v + 2 * np.cross(axis, np.cross(axis, v) + w * v)).tolist())
 
 
-def test_the_belief_lies_on_the_taught_ways_and_the_ways_about_the_robot(path: Path) -> None:
+def test_views_place_belief_on_routes_and_routes_on_robot(path: Path) -> None:
     views = views_of(path)
     (taught,) = views["taught"]
     (entity,) = taught.entities
@@ -168,7 +168,7 @@ def test_the_belief_lies_on_the_taught_ways_and_the_ways_about_the_robot(path: P
     )
 
 
-def test_the_log_tells_what_changes_once(path: Path) -> None:
+def test_log_reports_each_change_once(path: Path) -> None:
     told = [(line.name, line.message, line.level) for line in views_of(path)["log"]]
     assert told == [
         ("episode", "drive to end in corridor, seed 0, driver teleop", 2),
@@ -179,8 +179,7 @@ def test_the_log_tells_what_changes_once(path: Path) -> None:
     ]
 
 
-def test_the_layout_shows_what_recordings_have(path: Path, tmp_path: Path) -> None:
-    """Every topic in it is one of ours, and every plotted field is in a message of it."""
+def test_layout_shows_recorded_topics(path: Path, tmp_path: Path) -> None:
     layout = json.loads(LAYOUT.read_text())
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()

@@ -139,7 +139,7 @@ def test_where_the_operator_judges_they_are_waited_for(
         (None, False, []),
     ],
 )
-def test_who_begins_a_run_arms_a_robot_that_was_just_started_and_no_other(
+def test_run_arms_only_the_robot_that_it_started(
     cause: str | None,
     attended: bool,
     armed: list[int],
@@ -156,7 +156,7 @@ def test_who_begins_a_run_arms_a_robot_that_was_just_started_and_no_other(
     )
 
 
-def test_another_world_than_asked_for_is_an_error_and_its_episode_is_ended(
+def test_episode_is_ended_when_its_world_is_another(
     simulator: FakeSimulator, client: EpisodeClient
 ) -> None:
     with pytest.raises(
@@ -255,7 +255,7 @@ class FakeStack:
     ("flags", "start", "kidnap_tick"),
     [(("--start", "anywhere"), "anywhere", None), (("--kidnap", "5"), "start", 5)],
 )
-def test_start_and_kidnap_reach_the_simulator_and_finished_runs_are_written_though_a_later_one_fails(
+def test_finished_runs_are_written_when_a_later_run_fails(
     flags: tuple[str, ...], start: str, kidnap_tick: int | None, settings: ServiceSettings, run_node: RunNode,
     tmp_path: Path, smal: Smal,
 ) -> None:  # fmt: skip
@@ -278,7 +278,7 @@ def test_start_and_kidnap_reach_the_simulator_and_finished_runs_are_written_thou
     assert written["success_rate"] == 1.0
 
 
-def test_a_model_of_other_features_is_an_error_before_the_first_run(
+def test_run_is_refused_when_model_has_other_features(
     settings: ServiceSettings, run_node: RunNode, tmp_path: Path, mistake: Mistake
 ) -> None:
     stack = FakeStack(settings, run_node, tmp_path, FeatureSettings())

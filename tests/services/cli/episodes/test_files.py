@@ -15,7 +15,7 @@ from tests.services.recordings.recorded_messages import event, image
 from tests.services.waiting import eventually, introduce, ready
 
 
-def test_command_reports_why_when_nothing_is_recorded(
+def test_command_reports_cause_when_recording_is_empty(
     settings: ServiceSettings,
     run_node: RunNode,
     client: Bus,

@@ -59,7 +59,7 @@ def test_files_and_lost_messages_are_known_at_the_end(
 
 @pytest.mark.parametrize("failure", [ValueError("sic"), KeyboardInterrupt("sic")], ids=repr)
 @pytest.mark.parametrize("refuses", [None, "stop"])
-def test_recorder_is_stopped_after_a_failure_which_remains_the_news(
+def test_recorder_is_stopped_when_an_episode_fails(
     recorder: FakeRecorder, client: Bus, tmp_path: Path, failure: BaseException, refuses: str | None
 ) -> None:
     recorder.refuses = refuses
@@ -80,7 +80,7 @@ def test_a_recorder_that_refuses_the_folder_goes_on_with_its_own(
     assert recorder.told == ["start drives"]
 
 
-def test_a_folder_that_the_recorder_does_not_write_to_is_one_line_that_says_what_to_do(
+def test_record_reports_folder_when_recorder_writes_elsewhere(
     recorder: FakeRecorder, client: Bus, tmp_path: Path
 ) -> None:
     link = tmp_path / "link"

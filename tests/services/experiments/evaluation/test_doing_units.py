@@ -80,7 +80,7 @@ def found(
     patch.undo()
 
 
-def test_whatever_is_found_is_numbers_and_files_are_where_it_says(
+def test_units_return_json_and_write_their_files(
     found: tuple[Path, dict[Unit, Finding]],
 ) -> None:
     folder, every = found

@@ -76,7 +76,6 @@ def test_a_template_is_where_it_was_demonstrated() -> None:
 
 
 def test_the_nearest_window_is_imitated() -> None:
-    """Of two alike frames the one after which other frames came before."""
     images = [picture(place) for place in (1, 20, 40, 20)]
     features = np.stack([extract(image, COLOR) for image in images])
     atoms = np.array([Atom.FORWARD, Atom.LEFT, Atom.FORWARD, Atom.STOP], dtype=np.int8)

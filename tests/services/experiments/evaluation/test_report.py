@@ -28,7 +28,7 @@ def world(results: Results) -> WorldResults:
     return results_of(SMALL.worlds[0], units(SMALL), results.findings)
 
 
-def test_the_page_is_whole_refers_to_nothing_outside_and_says_what_was_found(
+def test_report_page_is_complete_and_loads_no_network_files(
     results: Results, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("services.experiments.evaluation.report.page._DPI", 30)

@@ -71,10 +71,9 @@ def simulation(near: Path) -> Simulation:
 
 @pytest.mark.rendering
 @pytest.mark.parametrize("scheme", ["filter", "paper"])
-def test_smal_in_this_process_and_as_services_drives_alike_to_the_last_bit(
+def test_search_is_bit_identical_in_process_and_in_services(
     simulation: Simulation, taught: Path, taught_paper: Path, scheme: Scheme
 ) -> None:
-    """What the processes add is transport: `RecognitionService` and the others hold all that decides."""
     file = taught_paper if scheme == "paper" else taught / "model.smal"
     model = load_model(file)
     features = FeaturesService(FEATURES)

@@ -26,7 +26,7 @@ def test_each_unit_is_once_and_after_those_that_it_needs() -> None:
         assert set(unit.needs) <= set(PLANNED[:number])
 
 
-def test_another_setting_map_or_code_is_another_result_and_the_rest_is_kept(
+def test_results_are_kept_unless_their_inputs_change(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def names(one: EvaluationPlan, kind: str) -> set[str]:
@@ -51,7 +51,7 @@ def test_another_setting_map_or_code_is_another_result_and_the_rest_is_kept(
     assert not names(SMALL, "Searches") & before
 
 
-def test_where_something_stands_in_the_way_smal_is_compared_with_itself_without_its_parts() -> None:
+def test_plan_compares_reduced_smal_when_ways_are_obstructed() -> None:
     def drivers(one: EvaluationPlan) -> set[str]:
         return {unit.trial.controller for unit in units(one) if isinstance(unit, Searches)}
 
@@ -61,7 +61,7 @@ def test_where_something_stands_in_the_way_smal_is_compared_with_itself_without_
     assert drivers(hindered) == drivers(free) | {"smal-waits", "smal-unguarded"}
 
 
-def test_what_was_found_out_is_there_again_with_the_file_that_it_left(tmp_path: Path) -> None:
+def test_results_and_files_are_read_back_when_resumed(tmp_path: Path) -> None:
     results = Results(tmp_path, PLANNED)
     for unit in PLANNED[:10]:
         results.add(unit, finding(unit) | {"file": unit is PLANNED[0]})
@@ -96,7 +96,7 @@ class After(LearnUnit):
 SITE = Site("yard", "", (64, 48))
 
 
-def test_killed_workers_cost_time_and_a_unit_that_always_kills_is_one_line(
+def test_unit_is_reported_when_it_kills_its_workers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(engines, "_TRIES", 2)

@@ -53,7 +53,7 @@ def write(path: Path, image: np.ndarray) -> Path:
     ),
     st.randoms(use_true_random=False),
 )
-def test_numbers_in_names_sort_by_value_whatever_their_zeros_and_letters(
+def test_names_sort_by_the_value_of_their_numbers(
     frames: list[tuple[int, int, str]], shuffler: random.Random
 ) -> None:
     values = {f"{prefix}{'0' * zeros}{number}-b.png": number for number, zeros, prefix in frames}
@@ -97,7 +97,9 @@ def test_depth_is_16_bit_and_of_one_channel(tmp_path: Path) -> None:
     assert read_depth(tmp_path / "missing.png") is None
 
 
-def test_what_counts_as_a_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_folder_lists_image_files_as_frames(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for number in (1, 2, 10):
         write(tmp_path / f"img{number}.png", picture(number))
     write(tmp_path / "img0.png", picture()).rename(
@@ -137,7 +139,7 @@ def test_the_command_limits_pixels_before_opencv_is_loaded() -> None:
     )  # the camera's images pass, and three bytes a pixel fit into memory
 
 
-def test_folders_that_are_none(tmp_path: Path) -> None:
+def test_source_is_rejected_when_it_has_no_frames(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "a.txt").touch()

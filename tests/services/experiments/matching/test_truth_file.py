@@ -15,10 +15,10 @@ HEADER = "query,reference_first,reference_last\n"
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 20), st.integers(1, 20))
 @settings(max_examples=50, deadline=None)
-def test_a_file_says_what_was_written(
+def test_truth_file_is_unchanged_when_read_back(
     tmp_path_factory: pytest.TempPathFactory, seed: int, queries: int, references: int
 ) -> None:
-    """Against sets of right references that are kept beside the file."""
+    """The right references are kept as sets beside the file."""
     rng = np.random.default_rng(seed)
     rows = []
     right = {}
@@ -43,7 +43,6 @@ def test_a_file_says_what_was_written(
 
 
 def test_files_of_spreadsheets_are_read(tmp_path: Path) -> None:
-    """A byte order mark, lines that end with CR LF, other columns, another order, quotes and empty lines."""
     path = tmp_path / "truth.csv"
     content = '\ufeffreference_last, note,"query",reference_first\r\n3,"a, b",0,2\r\n\r\n,,1,\r\n'
     path.write_bytes(content.encode("utf-8"))
