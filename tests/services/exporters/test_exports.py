@@ -309,7 +309,7 @@ def table_of(path: Path) -> Any:
 
 
 def test_dataset_has_files_and_columns_of_lerobot(dataset: Path) -> None:
-    """lerobot 0.4 rejects rows whose columns differ from the description."""
+    """LeRobot 0.4 rejects rows whose columns differ from the description."""
     info = json.loads((dataset / "meta/info.json").read_text())
     assert (info["codebase_version"], info["fps"], info["total_episodes"]) == ("v3.0", 10, 2)
     assert (info["total_frames"], info["total_tasks"], info["splits"]) == (
