@@ -162,12 +162,12 @@ def test_depth_is_read_from_its_own_folders(folders: Path, smal: Smal) -> None:
         (["ref", "query", "--precision", "0.9"], 2, "--precision 0.9: unsupported: scores of the method smal are"),
         (["ref", "query", "--method", "own", "--length", "2"], 2, "--length 2: unsupported: the method own"),
         (["ref", "query", "--modalities", "x"], 2, "unknown feature modality 'x'; known are "),
-        (["ref", "query", "--truth", "short.csv"], 2, "--truth short.csv: line 2: query 24 is beyond the traverse"),
+        (["ref", "query", "--truth", "short.csv"], 2, "--truth short.csv: line 2: query 24 is too large: the traverse has 24"),
         (["ref", "query", "--truth", "truth.csv", "--json", "truth.csv"], 2, "--json truth.csv: is an input of this"),
         (["ref"], 2, "QUERIES: missing"),
         (["ref", "query", "--truth", "gps"], 2, "--radius: missing"),
         (["ref", "query", "--radius", "1"], 2, "--radius: requires"),
-        (["ref", "query", "--truth", "gps", "--radius", "1"], 2, "--truth gps: no image of ref has a position"),
+        (["ref", "query", "--truth", "gps", "--radius", "1"], 2, "--truth gps: no EXIF position in the images of ref"),
         (["ref", "query", "--poses", "nan.csv", "nan.csv", "--radius", "1"], 2, "--poses nan.csv: line 2: x_m and y_m"),
         (["ref", "truth.csv"], 2, "QUERIES truth.csv: neither a folder of images, nor a recording"),
         (["ref", "query", "--page", "x.png", "--plot", "x.png"], 2, "--plot x.png: same file as --page"),
@@ -325,14 +325,14 @@ def test_features_are_kept_and_a_damaged_cache_is_begun_anew(
         read_only.setattr(Path, "unlink", refused)
         count, err = run()
     assert count == 2 * FRAMES
-    assert "file is not a database; features are computed, and not kept" in err
+    assert "file is not a database; features are not cached" in err
     assert len(err.splitlines()) == 1
     monkeypatch.setattr(
         feature_cache, "cache_file", lambda: folders / "truth.csv" / "features.sqlite"
     )
     count, err = run()
     assert count == 2 * FRAMES
-    assert "; features are computed, and not kept" in err
+    assert "; features are not cached" in err
     assert len(err.splitlines()) == 1
 
 

@@ -40,7 +40,7 @@ def test_a_map_that_may_not_be_taken_is_not(seated: Page, nobody: Nobody) -> Non
         ("/map?name=town", {"Smal-Seat": "guess"}, 403, "permission denied: take control"),
         ("/map?name=town", {"Origin": "http://evil.example"}, 403, "only the console's own page"),
         ("/map?name=..%2Ftown", {}, 400, "the world's name"),
-        (f"/map?name={quote('𠀀') * 51}", {}, 400, "at most 200 bytes"),
+        (f"/map?name={quote('𠀀') * 51}", {}, 400, "204 bytes > maximum 200"),
         ("/", {}, 405, "unsupported method"),
     ):
         answer, said = seated.post(path, b"<osm/>", **headers)

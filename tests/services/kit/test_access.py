@@ -266,7 +266,11 @@ def test_certificate_is_refused_in_one_line_when_it_is_invalid(
             (endpoint, foreign, f"{endpoint} shows is refused: unable to get local issuer"),
             (endpoint, tmp_path / "mixed", f"refuses {tmp_path}/mixed/operator.pem: unknown ca"),
             (endpoint, tmp_path / "old", "old/operator.pem: certificate expired"),
-            (endpoint, tmp_path / "broken", "operator.pem with its key and .*/ca.pem; `smal sec"),
+            (
+                endpoint,
+                tmp_path / "broken",
+                "operator.pem with its key and .*/ca.pem; for the reason run `smal sec",
+            ),
         ]:
             with pytest.raises(BusError, match=why) as error:
                 Bus(ROBOT, address, 0.0, certificate_in(folder, "operator"))
