@@ -86,8 +86,7 @@ class PolicyService:
             loaded, maker = self._before
         elif state.model == loaded.identity:
             self._before = None
-        decided = state.status in {"recognized", "unknown"}
-        if state.model != loaded.identity or (decided and not maker.understands(state)):
+        if state.model != loaded.identity or not maker.understands(state):
             return [self._refuse(state, loaded, maker)]
         if self._last is not None:
             last, answer = self._last
