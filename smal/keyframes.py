@@ -9,6 +9,9 @@ import numpy as np
 from smal.arrays import Bools, Floats, Int32s
 from smal.movement import wrapped
 
+#: Maximum of the shares: the tail keeps some views, and a place is visible in half of its views.
+_MOST_SHARES: Final = {"usual": 0.999, "hidden": 0.5}
+
 
 @dataclass(frozen=True)
 class MapConfig:
@@ -53,11 +56,16 @@ class MapConfig:
         for part in fields(self):
             number = getattr(self, part.name)
             usual: Any = part.default
-            most = 100 * usual
+            most = _MOST_SHARES.get(part.name, 100 * usual)
             if type(number) is not type(usual) or not 0 < number <= most:
                 raise ValueError(
                     f"{part.name} must be above 0, at most {most:g}, got {number!r:.40}"
                 )
+        if self.looked_at < self.views_a_length:
+            raise ValueError(
+                f"looked_at must be at least views_a_length, {self.views_a_length}, "
+                f"got {self.looked_at}"
+            )
 
     @property
     def aside(self) -> float:

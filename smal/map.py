@@ -127,6 +127,10 @@ class VisualMap:
             )
         if not isinstance(size, list):
             raise TypeError("the size of the taught images must be a list")
+        if not isinstance(numbers["config"], dict):
+            raise TypeError(
+                f"the config of the map must be a mapping, got {numbers['config']!r:.40}"
+            )
         converted = {
             "goals": tuple(goals),
             "names": tuple(map(tuple, names)),
@@ -316,7 +320,7 @@ class VisualMap:
         alike = np.full(middle.max() + 1, -np.inf, dtype=np.float32)
         np.maximum.at(alike, middle, cosines.max(axis=1))
         most = self.config.looked_at // step
-        best = np.argpartition(-alike, most)[:most]
+        best = np.argpartition(-alike, most - 1)[:most]
         near = (best[:, None] * step + np.arange(step)).ravel()
         near = near[near < count]
         others = np.setdiff1d(self.reference, near)

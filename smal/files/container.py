@@ -52,7 +52,8 @@ class NoModelError(ModelError):
 
 def one_line(error: Exception) -> str:
     """Return the beginning of an error's message, with control characters of untrusted files replaced."""
-    return "".join(c if c.isprintable() else "?" for c in str(error)[:200])
+    text = f"missing {error}" if isinstance(error, KeyError) else str(error)
+    return "".join(c if c.isprintable() else "?" for c in text[:200])
 
 
 @contextmanager

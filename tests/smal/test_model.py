@@ -200,11 +200,44 @@ def test_model_file_keeps_the_map_config(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "number"),
-    [("looks", 0), ("looks", 2.5), ("hidden", math.nan), ("reference", 10**9), ("leading", "64")],
+    [
+        ("looks", 0),
+        ("looks", 2.5),
+        ("hidden", math.nan),
+        ("hidden", 1.0),
+        ("usual", 1.0),
+        ("reference", 10**9),
+        ("leading", "64"),
+    ],
 )
 def test_map_config_refuses_numbers_that_shape_no_map(name: str, number: object) -> None:
     with pytest.raises(ValueError, match=rf"^{name} must be above 0, at most [0-9.e+]+, got "):
         MapConfig(**{name: number})  # type: ignore[arg-type]
+
+
+def test_map_config_refuses_fewer_views_than_a_length() -> None:
+    with pytest.raises(ValueError, match=r"^looked_at must be at least views_a_length, 5, got 4$"):
+        MapConfig(looked_at=4)
+
+
+@pytest.mark.parametrize(
+    ("damage", "expected"),
+    [
+        (lambda mapped: mapped.pop("config"), "missing 'config'"),
+        (lambda mapped: mapped.update(config=[1]), "config of the map must be a mapping"),
+    ],
+    ids=["missing", "list"],
+)
+def test_model_file_without_a_config_is_refused(
+    damage: Callable[[dict[str, Any]], object], expected: str, tmp_path: Path
+) -> None:
+    meta, arrays = visual_corridor.model()._header()
+    damaged = json.loads(json.dumps(meta))
+    damage(damaged["map"])
+    path = tmp_path / "map.smal"
+    container.write(path, FORMAT_VERSION, damaged, arrays)
+    with pytest.raises(ModelError, match=expected):
+        Model.load(path)
 
 
 def test_model_file_with_an_unknown_config_is_refused() -> None:

@@ -345,6 +345,13 @@ def fork(goals: tuple[str, ...] = ("kitchen", "office"), left_m: float = 0.0) ->
     return map_of(4.0, 6.0, goals=goals, stitches=tuple(sorted(pairs + back)))
 
 
+def test_global_search_covers_a_way_just_above_its_maximum() -> None:
+    # 501 keyframes: the overview has as many groups as the search selects.
+    near, share = map_of(50.0).likely(np.zeros(1, dtype=np.float32))
+    assert near.tolist() == list(range(501))
+    assert share.sum() == 501
+
+
 def test_costs_to_go_satisfy_bellman_s_equation() -> None:
     two = fork(left_m=0.3)
     cost, following = cost_to_go(two, "office")
