@@ -9,6 +9,18 @@ from schemas.base import ATOMS, KEYS, MAX_TICK, Atom, Message, SessionId, Source
 #: Why the robot stands until it is armed: not armed since its start; an emergency stop; a lost
 #: operator; odometry that contradicts the commands; or a fault of the wheel driver.
 StopCause = Literal["not_armed", "emergency_stop", "operator_lost", "wheels", "fault"]
+#: Why the robot moves as it does; `CommandApplied.reason` describes each.
+Reason = Literal[
+    "command",
+    "obstacle",
+    "no_depth",
+    "insisted",
+    "radius",
+    "silence",
+    "taken_over",
+    "deaf",
+    "emergency_stop",
+]
 
 
 Share = Annotated[float, Field(ge=-1, le=1)]
@@ -85,17 +97,7 @@ class CommandApplied(_Moving):
     """The nearest of the five keys, for display and for the paper's scheme."""
     source: Source | None
     """Source of the obeyed command; None if the robot stands without a command."""
-    reason: Literal[
-        "command",
-        "obstacle",
-        "no_depth",
-        "insisted",
-        "radius",
-        "silence",
-        "taken_over",
-        "deaf",
-        "emergency_stop",
-    ]
+    reason: Reason
     """command: a fresh command. obstacle: the command is slowed or stopped because of an obstacle,
     or because the ground is not known to be free. no_depth: the depth camera shows no ground, or
     too late. insisted: a person insists, and the robot continues slowly. radius: the command

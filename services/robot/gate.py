@@ -15,7 +15,7 @@ from threading import Lock
 from typing import Final, Literal
 
 from schemas.base import STANDING, Source, Velocity
-from schemas.command import Command, StopCause
+from schemas.command import Command, Reason, StopCause
 from schemas.heartbeat import Heartbeat
 from services.robot.body import Kinematics
 from services.robot.guard import Guard
@@ -46,17 +46,6 @@ Refusal = Literal[
     "unknown frame",
     "stale",
     "out of order",
-]
-Reason = Literal[
-    "command",
-    "obstacle",
-    "no_depth",
-    "insisted",
-    "radius",
-    "silence",
-    "taken_over",
-    "deaf",
-    "emergency_stop",
 ]
 #: The last of several causes is reported: the operator needs it to arm the robot.
 _WEIGHT: Final[tuple[StopCause, ...]] = (
