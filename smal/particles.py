@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
@@ -50,18 +51,20 @@ class FilterConfig:
         """Return the probability that something hides the next new view, for a long-term share `hidden`."""
         return self.appears * hidden / (1.0 - hidden)
 
-    def share_changes(self, hidden: float) -> Floats:
-        """Return the transition matrix of the visible share with a new view, (from, to)."""
-        hides = self.hides(hidden)
-        stays = 1.0 - hides - self.light
-        rows = stays * np.eye(SHARES.size) + self.light * ANY_DAY
-        rows[:, 0] += hides
-        rows[0] = self.appears * ANY_DAY
-        rows[0, 0] = 1.0 - self.appears
-        return rows
-
 
 FILTER_CONFIG: Final = FilterConfig()
+
+
+@lru_cache(maxsize=8)
+def share_changes(config: FilterConfig, hidden: float) -> Floats:
+    """Return the transition matrix of the visible share with a new view, (from, to)."""
+    hides = config.hides(hidden)
+    stays = 1.0 - hides - config.light
+    rows = stays * np.eye(SHARES.size) + config.light * ANY_DAY
+    rows[:, 0] += hides
+    rows[0] = config.appears * ANY_DAY
+    rows[0, 0] = 1.0 - config.appears
+    return rows
 
 
 class ViewEvidence(NamedTuple):
@@ -191,7 +194,7 @@ class Particles:
         total = float(joint.sum())
         self.weights = joint.sum(axis=0) / total
         shares = joint.sum(axis=1) / total
-        changes = self._config.share_changes(self._map.config.hidden)
+        changes = share_changes(self._config, self._map.config.hidden)
         self.shares = shares + (shares @ changes - shares) * seen.newness
         concentration = (self.weights**2).sum()
         if concentration > 2.0 / len(self.weights):
