@@ -22,7 +22,7 @@ from smal.teaching.mapping import demonstrations_of, fit
 
 FEATURES: Final = FeatureSettings(("thumbnail",))
 LENGTH: Final = 3
-STEP_M: Final = 0.2  # Of every frame, metres.
+STEP_M: Final = 0.2  # Way from frame to frame, metres.
 FRAMES: Final = 20
 HEIGHT = 48
 WIDTH = 64

@@ -67,7 +67,7 @@ class EpisodeContents:
     #: World, seed, purpose, goal and driver.
     said: dict[str, str | int] = field(default_factory=dict)
     outcome: str | None = None
-    judge: str | None = None  # Of the outcome.
+    judge: str | None = None  # Source of the outcome.
     #: Ticks by the source of the last command applied in them.
     drove: dict[str, int] = field(default_factory=dict)
     topics: defaultdict[str, Counted] = field(default_factory=lambda: defaultdict(Counted))

@@ -30,7 +30,7 @@ SENSOR_STATE: Final = "turtlebot3_msgs/msg/SensorState"
 
 # The last moment that a stamp, which has 32 bits of seconds, can hold.
 _LAST_NS: Final = (2**31 - 1) * 1_000_000_000
-# Of bases whose messages are not part of the distributions.
+# Messages of bases that the distributions do not contain.
 _MORE: Final = {
     "irobot_create_msgs/msg/HazardDetection": "std_msgs/Header header\nuint8 type\n",
     HAZARDS: "std_msgs/Header header\nirobot_create_msgs/HazardDetection[] detections\n",

@@ -44,7 +44,7 @@ _MOST_BYTES: Final = {
 _MOST_OTHER_BYTES: Final = 1 << 16
 _MOVING: Final = frozenset(ATOMS) - {"stop"}
 Ban = tuple[str, frozenset[Atom]]  # Reason, and the forbidden movements.
-# Of irobot_create_msgs/msg/HazardDetection, by number.
+# Types of irobot_create_msgs/msg/HazardDetection, by number.
 _HAZARDS: Final[dict[int, Ban]] = {
     0: ("the limit of backing up is reached", frozenset({"backward"})),
     1: ("its bumper is pressed", _MOVING - {"backward"}),
@@ -55,7 +55,7 @@ _HAZARDS: Final[dict[int, Ban]] = {
 }
 _UNKNOWN_HAZARD: Final[Ban] = ("an unknown hazard is near", _MOVING)
 _BUMP: Final = 1
-# Of turtlebot3_msgs/msg/SensorState.
+# Fields of turtlebot3_msgs/msg/SensorState.
 _BUMPER_FORWARD = 1
 _BUMPER_BACKWARD = 2
 _log = logging.getLogger("ros2")

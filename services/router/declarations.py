@@ -83,7 +83,7 @@ class Declarations:
         self._group_burst = GROUP_BURST + GROUP_BURST_A_ROBOT * robots
         self._linked = linked
         self._disconnect = disconnect
-        # Of all declarations, and of group keys.
+        # Allowance for all declarations, and for group keys.
         self._allowances: dict[bytes, tuple[TokenBucket, TokenBucket]] = {}
 
     def count(self, line: bytes, now_s: float) -> None:

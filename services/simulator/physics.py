@@ -45,8 +45,8 @@ _TYRE_FRICTION: Final = 1.1  # Rubber on dry asphalt or a clean floor.
 _TORQUE_M_S2: Final = 12.0
 # Time constant of the wheels' speed controller, within the limits of torque and friction.
 _RESPONSE_S: Final = 0.01
-_WHEEL_MASS: Final = 0.04  # Of the robot's mass, each.
-_CASTER_AT: Final = 0.8  # Of the robot's radius, ahead and behind.
+_WHEEL_MASS: Final = 0.04  # Mass of one wheel, as a share of the robot's mass.
+_CASTER_AT: Final = 0.8  # Distance ahead and behind, as a share of the robot's radius.
 _CASTER_RADIUS_M: Final = 0.02
 # Four touching wheels would unload the driven wheels at random. The rear caster carries weight; the
 # front caster hangs this high and catches the robot in braking.
@@ -54,7 +54,7 @@ _FRONT_CASTER_M: Final = 0.005
 # Distance of the centre of mass on the way to the rear caster, equal to the caster's share of the
 # weight.
 _CENTRE_BEHIND: Final = 0.1
-_CENTRE_HEIGHT: Final = 0.25  # Of the body's height: batteries are mounted low.
+_CENTRE_HEIGHT: Final = 0.25  # Share of the body's height: batteries are mounted low.
 _GROUND_CLEARANCE_M: Final = 0.02
 _MAST_HALF_WIDTH_M: Final = 0.02
 _HULL_SIDES: Final = 32

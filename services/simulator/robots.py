@@ -52,7 +52,7 @@ class RobotModel:
     camera: CameraMount
     radius_m: float
     """Radius of the smallest circle about the axis's middle that contains the robot."""
-    height_m: float  # Of the body, without the camera mast.
+    height_m: float  # Height of the body without the camera mast.
     mass_kg: float
     tag: TagMount | None = None
 

@@ -29,9 +29,8 @@ FACTOR: Final = "SMAL_LIMITS"
 #: took longest: 37 s for its 17 MB.
 LEAST_S: Final = 30.0
 S_A_MEGABYTE: Final = 20.0
-_WAITING: Final = (
-    20.0  # Limit of the wall time over the processor time: a loaded machine, or a slow disk.
-)
+# Limit of the wall time over the processor time: a loaded machine, or a slow disk.
+_WAITING: Final = 20.0
 _TURN_S: Final = 0.1  # Interval at which the parent checks for cancellation, seconds.
 _PARENT_DIED: Final = 1  # PR_SET_PDEATHSIG of <linux/prctl.h>.
 

@@ -51,12 +51,10 @@ class GridConfig:
     edge: int = 3
     lasts: float = 4.0
     stays: float = 30.0
-    walks_m: float = (
-        0.8  # Kept off what moves, metres: a person's 1.6 m/s (ISO 13855) for half a second.
-    )
-    sways_m: float = (
-        0.1  # Who has come, and stands, is kept off so much further than things, metres.
-    )
+    # Kept off what moves, metres: a person's 1.6 m/s (ISO 13855) for half a second.
+    walks_m: float = 0.8
+    # Who has come, and stands, is kept off so much further than things, metres.
+    sways_m: float = 0.1
     #: Assumed depth of an obstacle behind its visible face.
     deep: float = 2.0
     #: Cells a radius.
@@ -204,7 +202,7 @@ class Surroundings:
         self.body_m = radius_m + self.cell_m
         self._half = self.config.cells_radius * self.config.grid
         offsets = np.arange(-self._half, self._half + 1) * self.cell_m
-        #: Of each cell's middle, from that of the robot's cell, in the axes of the odometry.
+        #: Offset of each cell's middle from the middle of the robot's cell, in the axes of the odometry.
         self._x_m, self._y_m = np.meshgrid(offsets, offsets, indexing="ij")
         self._evidence = np.zeros(self._x_m.shape, dtype=np.int8)
         self._top_m = np.zeros(self._x_m.shape, dtype=np.float32)
@@ -216,7 +214,7 @@ class Surroundings:
         )  # Whether it was seen, twice, to be free.
         self._cell: tuple[int, int] | None = None
         self._rest = 0.0, 0.0
-        self._mount: Mount | None = None  # Of the last look.
+        self._mount: Mount | None = None  # Mount at the last look.
         self.heading = 0.0
         self.seen: Scan | None = None  # What the last look says.
 

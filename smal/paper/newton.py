@@ -27,9 +27,8 @@ _LAST_EPSILON = 1e-9
 _FASTEST = 0.2
 _GAP_TO_EPSILON = 0.7
 _MAX_STEPS = 150
-_RIDGE = (
-    1e-11  # Keeps a Newton system definite under rounding; it changes the path, never the bound.
-)
+# Keeps a Newton system definite under rounding; it changes the path, never the bound.
+_RIDGE = 1e-11
 _ARMIJO = 1e-4
 _SHORTEST_STEP = 1e-8
 # p^3 q from which on conjugate gradients are tried, and beyond which they are the only method.

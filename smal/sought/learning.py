@@ -48,7 +48,7 @@ _LEAST: Final = 3  # Rows and columns that a window has at least: fewer cells lo
 class _Patch(NamedTuple):
     """The target in one view of the approach."""
 
-    cells: NDArray[np.float32]  # Of the small picture, (60, 80, 27).
+    cells: NDArray[np.float32]  # Cells of the small picture, (60, 80, 27).
     mask: NDArray[np.bool_]  # Which of these are of what is sought.
     last: bool  # Whether it is the drive's last view.
 

@@ -64,9 +64,8 @@ class Quality(NamedTuple):
     jitter_s: float = 0.02
     loss: float = 0.02
     bits_s: float = 10e6
-    waits_s: float = (
-        0.2  # Packets wait at the link for so long, at most; access points hold about as much.
-    )
+    # Packets wait at the link for so long, at most; access points hold about as much.
+    waits_s: float = 0.2
 
 
 WIFI: Final = Quality()
@@ -205,8 +204,8 @@ def _pass_on(ways: dict[int, _Way], owner: Connection) -> None:
 CAMERA: Final = (320, 240)
 CUT_S: Final = 5.0
 OWN_FRAMES: Final = 300
-_HELD: Final = ("Rss", "Private_Dirty")  # Of a mapping, in Linux's `smaps`.
-_CUT_AFTER_S: Final = 8.0  # Of driving.
+_HELD: Final = ("Rss", "Private_Dirty")  # Fields of a mapping in Linux's `smaps`.
+_CUT_AFTER_S: Final = 8.0  # Time of driving before the cut.
 _ROUTERS: Final = tuple(f"tcp/{address}:7447" for address in ADDRESSES)
 
 

@@ -52,10 +52,10 @@ _KEPT: Final = 5  # Recordings that are kept: an hour's would be gigabytes.
 _LEAST_HZ: Final = 8.0  # Fewer commands a second: the loop stood, and the run is no evidence.
 _LEAST_LOCKSTEP_HZ: Final = 1.0  # The same in lockstep, of all robots, on a busy machine.
 _BAR: Final = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
-WARM_UP_SHARE: Final = 0.1  # Of the run, and at least so long: what is allocated once.
+WARM_UP_SHARE: Final = 0.1  # Minimum share of the run in which memory is allocated once.
 WARM_UP_S: Final = 120.0
 MOST_GROWTH: Final = 0.05
-#: Of a page, bytes, however long it is open: the browser's own caches and compiled code vary by
+#: Growth of a page, bytes, independent of the time: the browser's own caches and compiled code vary by
 #: 200,000, and pictures are 50,000 to 200,000 a second.
 MOST_PAGE_GROWTH: Final = 500_000
 MOST_NODES: Final = 300  # The news fill up: 50 lines of four nodes each; recordings come and go.

@@ -37,9 +37,8 @@ STEERING = "".join(
     f"float32 {name}\n"
     for name in ("steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk")
 )
-OLDEST_S = (
-    0.5  # As controllers of ros2_control do: a stamped velocity that is older is not carried out.
-)
+# As controllers of ros2_control do: a stamped velocity that is older is not carried out.
+OLDEST_S = 0.5
 
 
 def now_s() -> float:

@@ -22,7 +22,8 @@ from services.ros2.wire import (
     ros_type,
 )
 
-# Of a ROS 2 Humble node, rmw_zenoh_cpp 0.1.8, `ros2 topic pub /chatter`: the token of its publisher, and what was
+# Captured from a ROS 2 Humble node, rmw_zenoh_cpp 0.1.8, `ros2 topic pub /chatter`: the token of
+# its publisher, and what was
 # attached to its 216th message. Captured by dora-rs/dora (Apache-2.0).
 SAID = (
     "@ros2_lv/0/9ca0f8facf84ffb1e6bfa4f2500889f0/0/3/MP/%/%/_ros2cli_712/%chatter/"

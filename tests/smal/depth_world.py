@@ -30,7 +30,7 @@ def depth(
     below = (np.arange(rows) + 0.5 - rows / 2)[:, None] / focal_px
     cos = math.cos(pitch_rad)
     sin = math.sin(pitch_rad)
-    # Of rays that go a metre along the axis.
+    # Rays of one metre along the axis.
     ahead = cos - below * sin
     up = -sin - below * cos
     left = np.broadcast_to(across, (rows, columns))

@@ -65,7 +65,7 @@ class Room:
     Parameters
     ----------
     seed : int
-        Of its paint.
+        Seed of its paint.
     half : float
         Half of its side, metres.
     """

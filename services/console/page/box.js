@@ -2,7 +2,7 @@
 
 import { color } from "./element.js";
 
-const LEAST = 0.05;  // Of the image's width and height; smaller boxes are invalid.
+const LEAST = 0.05;  // Minimum side of a box, as a share of the image's width or height.
 
 export class Box {
   constructor(canvas) {

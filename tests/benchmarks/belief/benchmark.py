@@ -128,7 +128,7 @@ class Asked:
 
 @dataclass(frozen=True, eq=False)
 class Said:
-    """Of each frame of a run, arrays (f,): whether it is near a taught way, what the filter says, and what is true.
+    """Arrays (f,) over the frames of a run: near a taught way or not, the filter's estimate, and the truth.
 
     ``near``: the probability of the belief to be as near to the likeliest place as ``right`` wants it;  ``goal``: of
     being at the goal; ``arrived``: whether it is there.

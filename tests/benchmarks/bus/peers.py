@@ -17,7 +17,7 @@ from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from tests.services.secured import ROBOT, open_session
 
-RATE_HZ: Final = 10_000  # Of the flood, one process; more comes from several.
+RATE_HZ: Final = 10_000  # Rate of the flood of one process.
 _SIZE: Final = 200  # As long as a command is.
 
 

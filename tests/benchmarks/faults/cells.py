@@ -35,12 +35,10 @@ _OUT_S: Final = 3.0  # How long one lane is out, where the process must not end.
 _FREEZES_S: Final = (1.0, 3.0, 14.0)
 _OUTAGE_S: Final = 20.0
 _AT_THE_OTHER_S: Final = 2.5  # Two seconds to the other router, and half a one to the next command.
-_MOVES_S: Final = (
-    10.0  # A robot waits so long at most for its next command, on a machine with too much to do.
-)
-_UNDISTURBED_S: Final = (
-    1.0  # Without a new command, of what must not disturb the robot: it stands after half a second.
-)
+# A robot waits so long at most for its next command, on a machine with too much to do.
+_MOVES_S: Final = 10.0
+# Without a new command, of what must not disturb the robot: it stands after half a second.
+_UNDISTURBED_S: Final = 1.0
 
 
 @dataclass(frozen=True)
@@ -326,7 +324,7 @@ def _matrix() -> Iterator[Cell]:
         ("router down 20 s", signal.SIGKILL, _OUTAGE_S),
     ):  # fmt: skip
         yield Cell(name, partial(restart_router, number=number, seconds=seconds), watched="router")
-    # Of two routers the loss of one is over when all are at the other, and the robot has a command again.
+    # The loss of one of two routers ends when all clients use the other and the robot has a command.
     gone = Limits(pause_s=_AT_THE_OTHER_S)
     killed = partial(lose_router, number=signal.SIGKILL, seconds=0.0)
     frozen = partial(lose_router, number=signal.SIGSTOP, seconds=5.0)

@@ -44,9 +44,8 @@ STOPS: Final = 100  # In each flood of declarations.
 _BEGIN_S: Final = 30.0  # How long the robot may take to begin an episode, seconds.
 _ROUND: Final = 50  # Messages or calls between two looks at what to flood next.
 _ANSWER_S: Final = 1.0  # Calls wait so long for their answers, seconds.
-_PATIENT: Final[dict[str, object]] = {
-    "connect/timeout_ms": 10_000
-}  # Of who connects on a busy machine.
+#: Zenoh settings of a client on a busy machine.
+_PATIENT: Final[dict[str, object]] = {"connect/timeout_ms": 10_000}
 #: What is put, and what every call but a status asks: refused by who takes it, so that nothing but its number harms.
 _NONSENSE: Final = b"12345678"
 _NOTHING: Final = b"{}"  # What a status asks, which is answered.

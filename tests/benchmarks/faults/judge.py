@@ -18,9 +18,8 @@ from schemas.topics import APPLIED, COMMANDS
 from services.robot.clock import TICK_S
 
 VALID_S: Final = 0.5  # A command may be obeyed for so long, counted from the capture of the frame that it answers.
-RESTS_S: Final = (
-    TICK_S  # A base that does not move for so long stands; as long as from frame to frame.
-)
+# A base that does not move for so long stands; as long as from frame to frame.
+RESTS_S: Final = TICK_S
 _TOLD: Final = ("sequence", "event", "outcome", "atom", "reason", "answered_tick", "latency_ns")
 
 

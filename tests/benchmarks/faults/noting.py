@@ -20,9 +20,8 @@ from services.robot.service import ROBOT
 from services.simulator.__main__ import serve
 
 NOTES: Final = "BENCH_STOPS"  # Names the file of the notes, in the environment.
-_STANDS_S: Final = (
-    0.1  # The robot stands for so long, seconds, then it drives on; five steps of the actuator.
-)
+# The robot stands for so long, seconds, then it drives on; five steps of the actuator.
+_STANDS_S: Final = 0.1
 
 
 class NotingGate(CommandGate):

@@ -64,7 +64,7 @@ class RigPlan:
     secure: Path | None = None
     routers: int = 1
     robots: int = 1  # The others are simulated, and begin one episode after another.
-    instances: int = 1  # Of each service that runs any number of times.
+    instances: int = 1  # Instances of each grouped service.
     mode: Mode = "realtime"
 
     @property
@@ -134,9 +134,8 @@ class Rig:
         self.entries: list[Entry] = []  # Everything that was observed since the last ``forget``.
         self.supervised = True  # Whether dead services are started again, as ``smal up`` does.
         self.driven = False  # Whether a new episode begins when one has ended.
-        self.others: list[
-            Rig
-        ] = []  # Of the further robots of the fleet, of which ends of episodes are observed alone.
+        #: Rigs of the further robots of the fleet; only the ends of their episodes are observed.
+        self.others: list[Rig] = []
         self.outcomes: Counter[str] = Counter()  # How the episodes ended since the last ``forget``.
         self.notes: list[str] = []
         self.seed = 100

@@ -15,9 +15,8 @@ from tests.benchmarks.faults.judge import Entry, Window
 from tests.benchmarks.faults.recordings import Recorded, lost, read_recordings, unsaid
 from tests.benchmarks.faults.rig import Rig
 
-_RECOVERY_S: Final = (
-    60.0  # Given up after so long; a renderer that starts anew on a busy machine has taken 50 s.
-)
+# Given up after so long; a renderer that starts anew on a busy machine has taken 50 s.
+_RECOVERY_S: Final = 60.0
 #: After the recovery the loop goes on for so many answered frames, so that what comes late is seen.
 _AFTERWARDS: Final = 15
 _FOUND_S: Final = 120.0  # Until the robot has found its victim, however busy the machine is: some 15 s undisturbed.

@@ -26,9 +26,8 @@ PLACES = 50
 SEARCHES = 20
 QUICK = 2
 SEED: Final = 5000
-SETS_OFF_TICKS: Final = (
-    10  # Frames from the beginning to the lies that do not begin with the episode: 1 s.
-)
+# Frames from the beginning to the lies that do not begin with the episode: 1 s.
+SETS_OFF_TICKS: Final = 10
 #: Frame at which a camera or odometry fails: the robot drives at full speed by then; runs differ by seven frames.
 FAILS_AT_TICKS = 40
 APART_TICKS = 7

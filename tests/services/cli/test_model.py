@@ -165,7 +165,7 @@ def test_map_page_escapes_text_and_loads_no_network_files(
 def test_missing_recordings_are_named(taught: Path, tmp_path: Path, smal: Smal, file: str) -> None:
     folder = tmp_path / "drives"
     folder.mkdir()
-    # Of the one drive another one of the same name; the other is not there.
+    # Another drive has the name of the first; the second is missing.
     shorter = Drive(DRIVES["left"].poses[:-4], DRIVES["left"].atoms[:-4])
     record(folder, list(messages("to-left", shorter, Room(), "left")))
     record(folder, list(messages("another", DRIVES["right"], Room(), "right")))

@@ -52,9 +52,8 @@ def test_workers_match_threads_when_workers_are_killed(
     with Engine(None) as engine:
         assert same(engine.map(describe, IMAGES))
         assert multiprocessing.active_children() == []  # Threads, where no workers are asked for.
-    dask.config.set(
-        {"distributed.deploy.lost-worker-timeout": "10ms"}
-    )  # Of Dask: who is away for longer stays away.
+    # Dask gives up a worker that is away for longer.
+    dask.config.set({"distributed.deploy.lost-worker-timeout": "10ms"})
     with Engine(2) as engine:
         answers = engine.map(describe, IMAGES)
         first = next(answers)

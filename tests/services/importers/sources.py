@@ -19,7 +19,8 @@ from services.kit.jpeg import encode_jpeg
 from services.kit.ros_message import ros_message
 from tests import corridor
 
-#: Of the drive: ahead, to the left on the spot, to the right on the spot, ahead; seconds, metres and radians a second.
+#: Parts of the drive: ahead, to the left on the spot, to the right on the spot, ahead; seconds,
+#: metres and radians a second.
 LEGS: Final = ((1.5, 2.0, 0.0), (0.4, 0.0, 0.8), (0.4, 0.0, -0.8), (1.0, 2.0, 0.0))
 START_S: Final = 1_700_000_000.0
 CAMERA: Final = "observation.images.front"

@@ -52,9 +52,8 @@ WILD: Final = (
 )
 KEYS: Final = (*TOPIC_KEYS, *SERVED, *KEPT, *ECHOES, *FOREIGN, *WILD)
 Cell = tuple[str, str]
-PATIENT: Final[dict[str, object]] = {
-    "connect/timeout_ms": 10_000
-}  # Of who waits for a busy machine.
+#: Zenoh settings of a client on a busy machine.
+PATIENT: Final[dict[str, object]] = {"connect/timeout_ms": 10_000}
 
 
 def allowed(role: Role, verb: str, key: str) -> bool:

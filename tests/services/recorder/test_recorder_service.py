@@ -314,7 +314,7 @@ def test_recording_goes_on_when_the_recorder_is_restarted(
     assert contents(tmp_path / "e-2.mcap") == wanted(sent)
 
 
-IMAGE = 100_000  # Of the image that a robot sends in a second, bytes.
+IMAGE = 100_000  # Bytes of the image that a robot sends in a second.
 
 
 class Room:

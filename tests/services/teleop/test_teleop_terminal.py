@@ -48,9 +48,8 @@ class Robot(RobotService):
         self.arms: list[int] = []
         self.resets: list[ResetRequest] = []
         self.ends: list[EndRequest] = []
-        self.before_arm: Callable[[], object] = (
-            bool  # What happens when it is asked, before it does so.
-        )
+        # What happens when it is asked, before it does so.
+        self.before_arm: Callable[[], object] = bool
         self.before_reset: Callable[[], object] = bool
         runner = EpisodeRunner(LineBody(now_s), OperatorsTask(), self.gate, settings.robot, "s")
         hear = runner.hear

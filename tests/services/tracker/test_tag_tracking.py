@@ -25,7 +25,8 @@ CAMERA = Calibration(
     up_rad=math.pi / 2,
 )
 _angles = st.floats(-math.pi, math.pi)
-# Of the way from the middle to where the tag touches the edge: nearer, noise hides 3 or 4 of 100 (seen by trying 400).
+# Share of the way from the middle to where the tag touches the edge: nearer, noise hides 3 or 4
+# of 100 (seen by trying 400).
 _shares = st.floats(-0.95, 0.95)
 
 

@@ -18,9 +18,8 @@ from services.tracker.service import TrackerService
 from services.tracker.tag_tracking import Tag
 
 FRAME_S = 0.1
-EVERY = (
-    10  # Of so many frames one is checked: a frame takes a software renderer a tenth of a second.
-)
+# Every tenth frame is checked: a frame takes a software renderer a tenth of a second.
+EVERY = 10
 
 
 def drive(world: World) -> Iterator[Pose]:

@@ -16,7 +16,7 @@ from tests.smal.depth_world import MOUNT, MOVEMENTS, Box, depth, moved, touches
 
 HERE = (0.0, 0.0, 0.0)
 WALL: Box = (4.0, -5.0, 4.5, 5.0, 2.0)
-OFF_M = MOUNT.radius_m + 0.1  # Of the robot's middle before what it stands before.
+OFF_M = MOUNT.radius_m + 0.1  # Distance of the robot's middle from an obstacle.
 
 
 def around(*boxes: Box) -> Surroundings:

@@ -65,7 +65,8 @@ def test_target_is_seen_from_new_places_and_missed_when_absent(step: float, asid
 
 
 def test_target_is_the_boxed_thing_alone() -> None:
-    size = 14  # Of each, in the last view; the blue one stands to the right of the middle.
+    # Size of each square in the last view; the blue one stands to the right of the middle.
+    size = 14
     box = 40 / SHAPE[1], 40 / SHAPE[0], (40 + size) / SHAPE[1], (40 + size) / SHAPE[0]
     learned = learn_sight([replace(taught(ORANGE, BLUE), box=box)])
     assert learned is not None

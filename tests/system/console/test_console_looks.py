@@ -61,7 +61,7 @@ def look(page: Page, frames: int) -> None:
 
 
 SIZES = {1440: 1000, 1024: 900, 390: 844}
-# Of the results of a run of axe-core those that are wrong, with the elements that they are about.
+# Violations that axe-core reports, with their elements.
 VIOLATIONS = """axe.run({resultTypes: ["violations"]}).then(({violations}) => violations.map(
     ({id, nodes}) => `${id}: ${nodes.map(({target}) => target.join(" ")).join(", ")}`))"""
 

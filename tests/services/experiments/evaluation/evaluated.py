@@ -48,7 +48,7 @@ SMALL = EvaluationPlan(
     camera=(64, 48),
     omitted=("nearly everything",),
 )  # fmt: skip
-QUERIES = 60  # Of the held-out drive, those that are judged.
+QUERIES = 60  # Judged frames of the held-out drive.
 
 
 def finding(unit: Unit) -> Finding:
