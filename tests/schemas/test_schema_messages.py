@@ -39,7 +39,7 @@ def test_wire_format_does_not_change(cls: type[Message]) -> None:
     assert decode(cls, bytes.fromhex(golden["hex"]), golden["encoding"]) == EXAMPLES[cls]
 
 
-@given(any_message)
+@given(any_message())
 def test_round_trip(message: Message) -> None:
     payload = encode(message)
     decoded = decode(type(message), payload, encoding_of(type(message)))

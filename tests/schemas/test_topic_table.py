@@ -1,6 +1,5 @@
 """The table of topics."""
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -24,13 +23,13 @@ def test_topic_of_is_the_inverse_of_key(robot: str, topic: Topic) -> None:
     assert topic_of(topic.key(robot)) is topic
 
 
-@given(st.text() | robots.map("smal/{}/state/x".format) | robots.map("other/{}/state".format))
-def test_foreign_keys_are_no_topics(key: str) -> None:
-    assert topic_of(key) is None
-
-
-@pytest.mark.parametrize(
-    "key", ["smal/Bad/state", "smal//state", "state", "smal/a/state/", "smal/*/state", "smal/a/"]
+@given(
+    st.text()
+    | robots.map("smal/{}/state/x".format)
+    | robots.map("other/{}/state".format)
+    | st.sampled_from(
+        ["smal/Bad/state", "smal//state", "state", "smal/a/state/", "smal/*/state", "smal/a/"]
+    )
 )
-def test_malformed_keys_are_no_topics(key: str) -> None:
+def test_key_has_no_topic_when_it_is_foreign_or_malformed(key: str) -> None:
     assert topic_of(key) is None

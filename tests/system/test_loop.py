@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
@@ -20,19 +19,6 @@ from tests.command import run_smal
 from tests.services.waiting import collected, eventually
 
 pytestmark = [pytest.mark.rendering, pytest.mark.system, pytest.mark.timeout(1500)]
-
-
-@pytest.fixture(scope="module")
-def running(near: Path, taught: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Start the stack that all but the first run use; give its address."""
-    own = {
-        "robot": flags(world=near, camera_width=160, camera_height=120),
-        **dict.fromkeys(("recognition", "policy"), flags(root=taught)),
-    }
-    services = ("router", "robot", "features", "recognition", "policy")
-    logs = tmp_path_factory.mktemp("logs")
-    with Stack(StackPlan(services, "rescuebot", free_endpoint(), own, logs=logs)) as stack:
-        yield stack.plan.endpoint
 
 
 def run_json(world: Path, model: Path, out: Path, *more: object) -> dict[str, Any]:
@@ -60,12 +46,12 @@ def test_one_drive_is_recorded_drawn_and_gives_a_map_of_views(taught: Path) -> N
     assert len(model.mapped.keyframes) == report["keyframes"]
 
 
-def test_robot_finds_the_victim_on_a_stack_of_its_own(
+def test_run_finds_the_victim_from_anywhere_after_a_kidnap(
     near: Path, taught: Path, tmp_path: Path
 ) -> None:
-    model = taught / "model.smal"
     report = tmp_path / "report"
-    found = run_json(near, model, tmp_path / "run.json", "--camera", "160x120", "--report", report)
+    more = ("--start", "anywhere", "--kidnap", 30, "--camera", "160x120", "--report", report)
+    found = run_json(near, taught / "model.smal", tmp_path / "run.json", *more)
     assert outcomes(found) == ["found"]
     page = (report / "index.html").read_text()
     assert page.count("<img") >= 3
@@ -73,19 +59,8 @@ def test_robot_finds_the_victim_on_a_stack_of_its_own(
     assert "://" not in page.split("</style>")[1]
 
 
-def test_robot_finds_the_victim_from_anywhere_after_a_kidnap(
-    near: Path, taught: Path, tmp_path: Path, running: str
-) -> None:
-    more = ("--start", "anywhere", "--kidnap", 30, "--connect", running)
-    assert outcomes(run_json(near, taught / "model.smal", tmp_path / "anywhere.json", *more)) == [
-        "found"
-    ]
-
-
-def test_the_papers_scheme_runs_in_real_time(
-    near: Path, taught_paper: Path, tmp_path: Path, running: str
-) -> None:
-    more = ("--scheme", "paper", "--realtime", "--connect", running, "--max-ticks", 60)
+def test_paper_scheme_runs_in_real_time(near: Path, taught_paper: Path, tmp_path: Path) -> None:
+    more = ("--scheme", "paper", "--realtime", "--camera", "160x120", "--max-ticks", 60)
     found = run_json(near, taught_paper, tmp_path / "paper.json", *more)
     assert set(outcomes(found)) <= {"found", "collision", "timeout"}
 
