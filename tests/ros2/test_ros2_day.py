@@ -14,20 +14,10 @@ pytestmark = [
 ]
 
 
-def test_taught_once_it_finds_the_victim(near: Path, tmp_path: Path) -> None:
+def test_robot_finds_the_victim_when_it_was_taught_once(near: Path, tmp_path: Path) -> None:
     """Allow three searches: a busy machine may be too slow for a real robot."""
-    command = [
-        sys.executable,
-        "-m",
-        "tests.ros2.day",
-        "--world",
-        str(near),
-        "--runs",
-        "3",
-        "--until-found",
-    ]
-    done = subprocess.run(
-        [*command, "--folder", str(tmp_path)], capture_output=True, text=True, check=False
-    )
+    flags = ("--world", near, "--runs", "3", "--until-found", "--folder", tmp_path)
+    command = [sys.executable, "-m", "tests.ros2.day", *flags]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "rmw_zenoh: found 1 of" in done.stdout.splitlines()[-1], done.stdout

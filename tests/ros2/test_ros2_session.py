@@ -93,10 +93,8 @@ def make(
     return lambda latched: stack.enter_context(closing(Place(tmp_path, request.param, latched)))
 
 
-def test_age_is_at_least_the_delay_when_a_link_is_late(
-    make: Callable[[bool], Place], stack: ExitStack
-) -> None:
-    place = make(False)
+def test_age_is_at_least_the_delay_when_a_link_is_late(tmp_path: Path, stack: ExitStack) -> None:
+    place = stack.enter_context(closing(Place(tmp_path, "rmw_zenoh", False)))
     place.start_robot()
     show = place.robot.publisher("camera/image_raw/compressed", COMPRESSED_IMAGE)
     router = place.endpoint
@@ -138,7 +136,7 @@ def released(senses: Senses) -> bool:
     return not unheard(senses) and senses.forbids("left") is None
 
 
-def test_a_button_that_was_pressed_before_we_came_is_seen(
+def test_button_is_seen_when_it_was_pressed_before_the_start(
     make: Callable[[bool], Place], stack: ExitStack
 ) -> None:
     place = make(True)
@@ -207,7 +205,7 @@ def test_message_is_dropped_when_it_is_too_large(
 
 
 @pytest.mark.parametrize("stamped", ["", "Stamped"])
-def test_a_car_is_told_its_speed_and_its_steering_angle(
+def test_car_receives_speed_and_steering_angle(
     make: Callable[[bool], Place], stack: ExitStack, stamped: str
 ) -> None:
     place = make(True)
@@ -225,12 +223,8 @@ def test_a_car_is_told_its_speed_and_its_steering_angle(
     eventually(lambda: place.session.lacks() is None)
     left_rad = math.atan(0.3 / 0.6)
     # To the left, the same in backing, straight on, and standing.
-    for ahead_m_s, turn_rad_s, angle_rad in (
-        (0.6, 1, left_rad),
-        (-0.6, 1, -left_rad),
-        (0.6, 0, 0),
-        (0, 0, 0),
-    ):
+    orders = (0.6, 1, left_rad), (-0.6, 1, -left_rad), (0.6, 0, 0), (0, 0, 0)
+    for ahead_m_s, turn_rad_s, angle_rad in orders:
         expected = pytest.approx((ahead_m_s, angle_rad), rel=1e-6)
 
         def drives_so(
@@ -242,7 +236,9 @@ def test_a_car_is_told_its_speed_and_its_steering_angle(
         eventually(drives_so)
 
 
-def test_no_robot_there_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_error_is_one_line_when_no_robot_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("services.ros2.session.PATIENCE_MS", 300)
     config = read_config(Place.config(tmp_path, nowhere := free_endpoint(), "rmw_zenoh"))
     with pytest.raises(

@@ -5,19 +5,9 @@ from pathlib import Path
 import numpy as np
 
 _FIELDS = (
-    "t_s",
-    "x",
-    "y",
-    "heading",
-    "ahead_m_s",
-    "turn_rad_s",
-    "collided",
-    "orders",
-    "put",
-    "put_x",
-    "put_y",
+    *("t_s", "x", "y", "heading", "ahead_m_s", "turn_rad_s", "ordered_s", "collided", "orders"),
+    *("put", "put_x", "put_y", "put_heading", "was_put", "victim", "frames"),
 )
-_FIELDS += ("put_heading", "was_put", "victim", "frames", "ordered_s")
 
 
 class Truth:
