@@ -80,26 +80,10 @@ def taught(near: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record one drive in that world, and learn a model from it; return their folder."""
 
     def make(folder: Path) -> None:
+        drives = folder / "drives"
         for arguments in (
-            (
-                "demonstrate",
-                "--world",
-                near,
-                "--seed",
-                1,
-                "--camera",
-                "160x120",
-                "--out",
-                folder / "drives",
-            ),
-            (
-                "learn",
-                folder / "drives",
-                "--out",
-                folder / "model.smal",
-                "--json",
-                folder / "learned.json",
-            ),
+            ("demonstrate", "--world", near, "--seed", 1, "--camera", "160x120", "--out", drives),
+            ("learn", drives, "--out", folder / "model.smal", "--json", folder / "learned.json"),
         ):
             done = run_smal(*arguments)
             assert done.returncode == 0, done.stderr

@@ -288,24 +288,8 @@ def _world(data: bytes, name: str) -> bool:
 
 
 def _name_seeds() -> list[bytes]:
-    parts = (
-        "b.smal",
-        "a",
-        "in",
-        "up",
-        "etc",
-        "fifo",
-        "loop",
-        ".",
-        "..",
-        "",
-        " ",
-        "~",
-        "ä",
-        "x" * 300,
-        "\0",
-        "\\",
-    )
+    parts = ["b.smal", "a", "in", "up", "etc", "fifo", "loop", *(".", "..", "", " ", "~", "ä")]
+    parts += ["x" * 300, "\0", "\\"]
     return [b"b.smal", *("/".join(pair).encode() for pair in itertools.product(parts, repeat=2))]
 
 
@@ -382,14 +366,10 @@ def _import(form: Format, source: Path) -> bool:
 def _bag_seeds() -> list[bytes]:
     """Return bags of a third of a second: inputs are to be small."""
     found = []
-    for kind, sqlite, packed in (
-        ("mcap", False, False),
-        ("mcap", False, True),
-        ("db3", True, False),
-    ):
+    for kind, packed in (("mcap", False), ("mcap", True), ("db3", False)):
         folder = inputs.scratch() / f"{kind}{packed}"
         if not folder.exists():
-            sources.rosbag2(folder, sqlite=sqlite, packed=packed, hundredths=31, raw=None)
+            sources.rosbag2(folder, sqlite=kind == "db3", packed=packed, hundredths=31, raw=None)
         found += [path.read_bytes() for path in folder.rglob(f"*.{kind}")]
     return found
 

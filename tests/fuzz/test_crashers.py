@@ -83,13 +83,13 @@ def changed(draw: st.DrawFn, seeds: list[bytes]) -> bytes:
 
 
 @pytest.mark.parametrize("name", TARGETS)
-@settings(deadline=None, max_examples=25, suppress_health_check=list(HealthCheck))
+@settings(max_examples=25, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_changed_seeds_are_decoded_or_refused(name: str, data: st.DataObject) -> None:
     TARGETS[name].run(data.draw(changed(seeds_of(name))))
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=30)
 @given(data=st.data(), scheme=st.sampled_from([0, 1]), value=st.sampled_from(ODD_VALUES))
 def test_model_is_refused_or_usable_when_its_header_is_nonsense(
     data: st.DataObject, scheme: int, value: object

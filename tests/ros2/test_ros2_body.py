@@ -22,6 +22,8 @@ from services.ros2.wheels import WheelTrack
 from tests.ros2.fake_turtlebot import encoded
 from tests.ros2.rig import AHEAD_S, BEGIN, CAMERA, ODOM, PICTURE, ROS, Rig
 
+ALL = "forward backward left right"
+
 
 @pytest.fixture
 def rig(tmp_path: Path) -> Rig:
@@ -77,7 +79,7 @@ def test_base_is_ordered_to_stand_when_it_is_unreachable(rig: Rig) -> None:
         rig.body.begin(BEGIN)
 
 
-def test_why_it_stands_is_logged_once_and_when_that_is_over(
+def test_reason_is_logged_once_when_the_base_stands(
     rig: Rig, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level("INFO", "ros2")
@@ -107,7 +109,7 @@ def test_frame_is_not_new_when_the_camera_is_silent_or_invalid(rig: Rig) -> None
 @pytest.mark.parametrize(
     ("numbers", "allowed", "touched"),
     [
-        ((), "forward backward left right", False),
+        ((), ALL, False),
         ((0,), "forward left right", False),
         ((1,), "backward", True),
         ((2,), "backward", False),
@@ -137,13 +139,13 @@ def test_hazards_forbid_motions_that_worsen_them(
     [
         (0.3, 0, "backward left right"),
         (0.3, 30, "backward left right"),
-        (0.3, 60, "forward backward left right"),
+        (0.3, 60, ALL),
         (0.3, 180, "forward left right"),
-        (0.5, 0, "forward backward left right"),
-        (0.05, 0, "forward backward left right"),
+        (0.5, 0, ALL),
+        (0.05, 0, ALL),
     ],
 )
-def test_something_near_forbids_to_go_there(
+def test_motion_is_forbidden_when_an_obstacle_is_near(
     rig: Rig, metres: float, degrees: int, allowed: str
 ) -> None:
     rig.begun().scan(metres, math.radians(degrees))
@@ -197,7 +199,7 @@ def test_track_keeps_its_way_when_wheels_restart_after_silence() -> None:
 
 
 @given(st.lists(st.tuples(st.floats(-0.1, 0.1), st.floats(-1, 1)), max_size=30), st.floats(-3, 3))
-def test_a_track_is_the_same_from_wherever_the_wheels_count(
+def test_track_is_the_same_when_the_wheels_begin_elsewhere(
     steps: list[tuple[float, float]], turned: float
 ) -> None:
     one = WheelTrack(1.0, 10.0, 0.25)
@@ -210,18 +212,15 @@ def test_a_track_is_the_same_from_wherever_the_wheels_count(
         heading = math.remainder(heading + turn, math.tau)
         cos = math.cos(turned)
         sin = math.sin(turned)
-        there = (
-            7.0 + x * cos - y * sin,
-            -3.0 + x * sin + y * cos,
-            math.remainder(heading + turned, math.tau),
-        )
-        told = one.add(number / 10, x, y, heading), other.add(number / 10, *there)
+        there = 7.0 + x * cos - y * sin, -3.0 + x * sin + y * cos
+        faces = math.remainder(heading + turned, math.tau)
+        told = one.add(number / 10, x, y, heading), other.add(number / 10, *there, faces)
     assert (told[0].x_m, told[0].y_m) == pytest.approx((x, y), abs=1e-9)
     assert (told[1].x_m, told[1].y_m) == pytest.approx((x, y), abs=1e-6)
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "mono8", "yuv422"])
-def test_reads_raw_pixels(encoding: str) -> None:
+def test_raw_pixels_are_read(encoding: str) -> None:
     data, step = encoded(PICTURE, encoding)
     fields = {"height": 48, "width": 64, "encoding": encoding, "step": step, "data": data}
     got = decode_jpeg(picture(ROS.read(messages.IMAGE, ROS.write(messages.IMAGE, fields)))).astype(
@@ -246,16 +245,10 @@ def test_reads_raw_pixels(encoding: str) -> None:
         ({"width": 2**31, "height": 2**31}, "invalid image"),
     ],
 )
-def test_raw_pixels_that_cannot_be_are_one_line(fields: dict[str, Any], line: str) -> None:
-    told = {
-        "height": 48,
-        "width": 64,
-        "encoding": "rgb8",
-        "step": 192,
-        "data": PICTURE.ravel(),
-    } | fields
+def test_image_is_refused_in_one_line_when_it_is_invalid(fields: dict[str, Any], line: str) -> None:
+    whole = {"height": 48, "width": 64, "encoding": "rgb8", "step": 192, "data": PICTURE.ravel()}
     with pytest.raises(MessageError, match=line):
-        picture(SimpleNamespace(**told))
+        picture(SimpleNamespace(**whole | fields))
 
 
 def test_body_names_the_missing_topic_when_it_begins(rig: Rig) -> None:

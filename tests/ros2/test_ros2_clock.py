@@ -45,7 +45,7 @@ def test_age_is_at_least_the_delay_and_at_most_the_round_trip(
         assert made - least - drift - 1e-6 <= told <= made + 1e-6
 
 
-def test_a_link_that_became_slow_makes_frames_old() -> None:
+def test_frames_become_old_when_the_link_becomes_slow() -> None:
     clock = StampedClock()
     assert clock.made_s(0.0, 0.01, 0.02) == pytest.approx(-0.01)
     for number in range(1, 600):  # for a minute

@@ -41,39 +41,21 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        (
-            "preset: turtlebot5\n",
-            "preset not found; available: donkeycar, generic, turtlebot3, turtlebot4",
-        ),
+        ("preset: turtlebot5\n", "preset not found; available: donkeycar, generic, turtlebot3"),
         (BASE + "spede_m_s: 1\n", "spede_m_s: Extra inputs are not permitted"),
-        (
-            "watchdog_s: 0.2\n",
-            "missing name, speed_m_s, turn_rate_rad_s, braking_s, camera; presets with",
-        ),
-        (
-            "preset: generic\nwatchdog_s: 0.5\n",
-            "base: stopping time after the silence of this process is too large (0.70 s",
-        ),
+        ("watchdog_s: 0.2\n", "missing name, speed_m_s, turn_rate_rad_s, braking_s, camera; pre"),
+        ("preset: generic\nwatchdog_s: 0.5\n", "the silence of this process is too large (0.70 s"),
         (BASE + "speed_m_s: fast\n", "speed_m_s: 'fast' must be a valid number"),
         (BASE + "speed_m_s: .nan\n", "speed_m_s: nan must be"),
         ("preset: generic\nwatchdog_s: .inf\n", "watchdog_s: inf must be a finite number"),
         (BASE + "camera: {topic: 'a b'}\n", "camera.topic: 'a b' must match pattern"),
         (BASE + "dialect: dds\n", "dialect: 'dds' must be 'rmw_zenoh' or 'zenoh-bridge-ros2dds'"),
         (BASE + "namespace: robot1\n", "namespace: 'robot1' must match pattern"),
-        (
-            BASE + "router: robot.local\n",
-            "mine.yaml: invalid router address 'robot.local': expected tcp/<host>:<port>",
-        ),
+        (BASE + "router: robot.local\n", "mine.yaml: invalid router address 'robot.local': exp"),
         (BASE + "scan: {topic: scan}\n", "scan.stop_m: Field required"),
-        (
-            BASE + "scan: {topic: scan, stop_m: 0.2, blind_m: 0.3}\n",
-            "scan: blind_m (0.3 m) must be less than stop_m",
-        ),
+        (BASE + "scan: {topic: a, stop_m: 0.2, blind_m: 0.3}\n", "scan: blind_m (0.3 m) must be"),
         (BASE + "stops: [{topic: bump, type: x}]\n", "stops.0.type: 'x' must be"),
-        (
-            BASE + "velocity: {wheelbase_m: 0.3}\n",
-            "radius_m: required for AckermannDrive",
-        ),
+        (BASE + "velocity: {wheelbase_m: 0.3}\n", "radius_m: required for AckermannDrive"),
         (
             BASE + "velocity: {type: ackermann_msgs/msg/AckermannDrive}\n",
             "velocity: wheelbase_m is required for AckermannDrive",
@@ -86,7 +68,9 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
         ("a: " + "x" * 70000, "too large for a configuration (maximum 65536 bytes)"),
     ],
 )
-def test_a_mistake_is_one_line_that_names_it(text: str, line: str, tmp_path: Path) -> None:
+def test_config_is_refused_in_one_line_when_it_is_wrong(
+    text: str, line: str, tmp_path: Path
+) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(text)
     with pytest.raises(UsageError) as caught:
@@ -96,7 +80,7 @@ def test_a_mistake_is_one_line_that_names_it(text: str, line: str, tmp_path: Pat
     assert len(str(caught.value)) < 500
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.binary(max_size=60))
 def test_config_is_refused_in_one_line_when_it_is_any_bytes(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "mine.yaml"

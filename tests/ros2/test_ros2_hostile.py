@@ -29,13 +29,8 @@ VECTORS = st.fixed_dictionaries(dict.fromkeys("xyz", NUMBERS))
 TURNS = st.fixed_dictionaries(dict.fromkeys("xyzw", NUMBERS))
 SIZES = st.integers(0, 9) | st.integers(0, 2**32 - 1)
 LIMITS = (
-    "angle_min",
-    "angle_max",
-    "angle_increment",
-    "time_increment",
-    "scan_time",
-    "range_min",
-    "range_max",
+    *("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time"),
+    *("range_min", "range_max"),
 )
 SINGLES = st.floats(width=32)
 SIDES = st.tuples(st.integers(1, 10), st.sampled_from([1, 3073, 4096, 4097, 65500])).flatmap(

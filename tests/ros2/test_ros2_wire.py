@@ -126,7 +126,7 @@ def test_velocities_agree_with_another_implementation(ahead: float, turn: float)
     assert (read.linear.x, read.angular.z) == (ahead, turn)
 
 
-def test_a_stamped_velocity_is_the_stamp_and_the_same_velocity() -> None:
+def test_velocity_begins_with_its_stamp_when_it_is_stamped() -> None:
     written = JAZZY.velocity(0.25, -0.5, 1_700_000_000_123_456_789)
     assert written[:4] == bytes((0, 1, 0, 0))
     assert struct.unpack_from("<iI", written, 4) == (1_700_000_000, 123_456_789)
@@ -146,7 +146,7 @@ def test_bridge_has_plain_keys_and_reads_velocity_types() -> None:
     assert bridge.attachment(1, 2, bytes(16)) is None
 
 
-def test_a_topic_is_of_the_namespace_unless_it_is_absolute() -> None:
+def test_topic_is_in_the_namespace_unless_it_is_absolute() -> None:
     assert qualified("cmd_vel", "/robot1") == "/robot1/cmd_vel"
     assert qualified("/cmd_vel", "/robot1") == "/cmd_vel"
     assert qualified("cmd_vel", "") == "/cmd_vel"

@@ -113,7 +113,7 @@ LARGEST_OF_EACH = [
 
 
 @pytest.mark.parametrize("message", LARGEST_OF_EACH, ids=lambda message: type(message).__name__)
-def test_the_largest_message_of_each_class_fits(message: Message) -> None:
+def test_largest_message_of_each_class_fits(message: Message) -> None:
     cls = type(message)
     assert decode(cls, encode(message), encoding_of(cls)) == message
 
@@ -199,7 +199,7 @@ def test_four_megabytes_of_containers_cost_little(leaf: bytes) -> None:
     assert peak_bytes < 8_000_000
 
 
-def test_a_large_valid_message_is_not_copied_needlessly() -> None:
+def test_message_is_copied_once_when_it_is_large() -> None:
     image = EXAMPLES[CompressedImage].model_copy(update={"data": bytes(15_000_000)})
     payload = encode(image)
     tracemalloc.start()

@@ -33,7 +33,7 @@ def by_opencv(lens: Lens, distortion: tuple[float, ...]) -> NDArray[np.float64]:
         ("equidistant", (-0.03, 0.002, -0.001, 0.0001)),
     ],
 )
-def test_a_lens_bends_as_opencv_says(lens: Lens, distortion: tuple[float, ...]) -> None:
+def test_lens_distorts_like_opencv(lens: Lens, distortion: tuple[float, ...]) -> None:
     camera = Camera(0.5, lens, distortion)
     expected = by_opencv(lens, distortion)
     rising = np.diff(expected, prepend=0.0) > 0.0
@@ -49,5 +49,5 @@ def test_lens_is_monotone_beyond_its_calibration() -> None:
 
 
 @pytest.mark.parametrize("lens", ["plumb_bob", "equidistant"])
-def test_a_camera_of_a_field_of_view_has_it(lens: Lens) -> None:
+def test_camera_has_its_field_of_view(lens: Lens) -> None:
     assert Camera.of_field(100.0, lens).field_deg == pytest.approx(100.0, rel=1e-4)

@@ -35,7 +35,9 @@ def test_cell_is_the_nearness_of_its_pixels(seed: int) -> None:
 
 
 @given(millimetres=_millimetres, rows=st.integers(1, 60), columns=st.integers(1, 60))
-def test_a_wall_straight_ahead_has_no_shape(millimetres: int, rows: int, columns: int) -> None:
+def test_depth_is_uniform_when_a_wall_is_straight_ahead(
+    millimetres: int, rows: int, columns: int
+) -> None:
     vector = describe(np.full((rows, columns), millimetres, dtype=np.uint16))
     assert vector.shape == (MODALITIES["depth"].size,) == (ROWS * COLUMNS,)
     assert vector.dtype == np.float32
@@ -43,7 +45,7 @@ def test_a_wall_straight_ahead_has_no_shape(millimetres: int, rows: int, columns
     np.testing.assert_allclose(vector, expected, rtol=1e-4)
 
 
-def test_a_cell_of_post_and_sky_is_half_as_near_as_the_post() -> None:
+def test_cell_is_half_as_near_when_half_of_it_is_sky() -> None:
     half = np.tile(np.array([[2_000, 0], [2_000, 0]], dtype=np.uint16), (ROWS, COLUMNS))
     half[:, COLUMNS:] = 2_000
     vector = describe(half).reshape(ROWS, COLUMNS)

@@ -27,7 +27,7 @@ def grating(cycles_per_px: float, angle_rad: float, amplitude: float = 60.0) -> 
 
 @pytest.mark.parametrize("scale", range(len(FREQUENCIES)))
 @pytest.mark.parametrize("orientation", range(ORIENTATIONS))
-def test_a_grating_is_found_at_its_scale_and_orientation(scale: int, orientation: int) -> None:
+def test_grating_responds_at_its_scale_and_orientation(scale: int, orientation: int) -> None:
     vector = describe(grating(FREQUENCIES[scale], np.pi * orientation / ORIENTATIONS)).reshape(
         SHAPE
     )

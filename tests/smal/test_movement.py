@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from smal.movement import Atom, Movement, dead_reckoning, turns_ahead, wrapped
@@ -26,7 +26,6 @@ def moved(pose: tuple[float, float, float], movement: Movement) -> tuple[float, 
     )
 
 
-@settings(deadline=None, derandomize=True)
 @given(
     pose=st.tuples(COORDINATE, COORDINATE, ANGLE),
     ahead=st.floats(0.001, 5.0),
@@ -41,7 +40,6 @@ def test_between_finds_the_movement_that_was_made(
     assert found.turn_rad == pytest.approx(turn, abs=1e-9)
 
 
-@settings(deadline=None, derandomize=True)
 @given(angle=st.floats(-100.0, 100.0))
 def test_wrapped_angles_point_the_same_way(angle: float) -> None:
     found = float(wrapped(np.array(angle)))
@@ -49,7 +47,6 @@ def test_wrapped_angles_point_the_same_way(angle: float) -> None:
     assert math.cos(found - angle) == pytest.approx(1.0)
 
 
-@settings(deadline=None, derandomize=True)
 @given(atoms=st.lists(st.sampled_from(list(Atom)), min_size=1, max_size=40))
 def test_dead_reckoning_makes_the_movements_of_its_atoms(atoms: list[Atom]) -> None:
     way = dead_reckoning(np.array(atoms, dtype=np.int8), TABLE)
@@ -58,7 +55,7 @@ def test_dead_reckoning_makes_the_movements_of_its_atoms(atoms: list[Atom]) -> N
         np.testing.assert_allclose(after, moved(tuple(before), Movement(*TABLE[atom])), atol=1e-9)
 
 
-def test_the_table_that_made_a_noisy_drive_is_found() -> None:
+def test_movements_are_estimated_from_a_noisy_drive() -> None:
     rng = np.random.default_rng(0)
     atoms = [rng.integers(0, 5, 400).astype(np.int8) for _ in range(2)]
     ways = []
@@ -102,7 +99,7 @@ def test_bends_do_not_make_a_turning_robot_a_car() -> None:
     assert turns_ahead(atom_movements([dead_reckoning(atoms, bends)], [atoms]))
 
 
-def test_a_robot_that_still_rolls_ahead_in_short_turns_is_no_car() -> None:
+def test_robot_is_no_car_when_it_rolls_ahead_in_short_turns() -> None:
     atoms = np.tile(
         np.repeat([Atom.FORWARD, Atom.LEFT, Atom.FORWARD, Atom.RIGHT], [20, 3, 20, 1]), 5
     ).astype(np.int8)
@@ -114,7 +111,7 @@ def test_a_robot_that_still_rolls_ahead_in_short_turns_is_no_car() -> None:
     assert not turns_ahead(atom_movements([np.array(way)], [atoms]))
 
 
-def test_a_slow_person_does_not_make_the_robot_slow() -> None:
+def test_movements_are_those_of_the_faster_person() -> None:
     atoms = np.repeat(list(Atom), 20).astype(np.int8)
     slow = np.repeat(atoms, 2)
     found = atom_movements(

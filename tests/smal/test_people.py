@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from smal.filter import Filter
@@ -25,7 +25,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_that_was_mended_is_not_repeated(mistake: str) -> None:
+def test_corrected_mistake_is_not_repeated(mistake: str) -> None:
     straight = drive(START, ((2.5, 0.0),))
     wrong = drive(START, MISTAKES[mistake])
     found, centering = taught(Room(), wrong, scene=SCENE)
@@ -37,9 +37,8 @@ def test_a_mistake_that_was_mended_is_not_repeated(mistake: str) -> None:
     assert math.hypot(*(pose - straight.poses[-1])[:2]) < 0.25
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(Atom), st.integers(1, 20)), min_size=1, max_size=7))
-def test_no_view_is_left_and_come_back_to_and_there_are_no_gaps(
+def test_way_has_no_detours_and_no_gaps(
     keys: list[tuple[Atom, int]],
 ) -> None:
     atoms = np.repeat([key for key, _ in keys], [frames for _, frames in keys])

@@ -32,14 +32,9 @@ def map_of(
     """Make a map of straight drives at 0.5 m/s and 10 Hz, a keyframe every 10 cm; each in other axes, without views."""
     ways = []
     for number, metres in enumerate(lengths_m):
-        along = np.arange(round(metres / 0.05) + 1) * 0.05
+        along = np.arange(round(metres / 0.05) + 1)[:, None] * 0.05
         angle = 2.0 * number
-        ways.append(
-            np.stack(
-                [along * math.cos(angle), along * math.sin(angle), np.full(along.size, angle)],
-                axis=1,
-            )
-        )
+        ways.append(along * (math.cos(angle), math.sin(angle), 0.0) + (0.0, 0.0, angle))
     drives = np.repeat(np.arange(len(ways), dtype=np.int32), [len(way) for way in ways])
     ends = np.cumsum([len(way) for way in ways])
     every = [np.arange(end - len(way), end, 2) for way, end in zip(ways, ends, strict=True)]
@@ -103,7 +98,7 @@ SPLIT = belief((10, 0.0, 0.0, 0.0), (10, 0.0, 0.0, 180.0), weights=(0.5, 0.5))
         (-0.5, 0.0, Atom.LEFT),
     ],
 )
-def test_turned_or_aside_it_turns_back_to_the_way(
+def test_robot_turns_back_when_it_is_turned_or_aside(
     left: float, turned_deg: float, atom: Atom
 ) -> None:
     decision = Planner(STRAIGHT).decide(belief((10, 0.0, left, turned_deg)))
@@ -113,7 +108,7 @@ def test_turned_or_aside_it_turns_back_to_the_way(
     assert math.degrees(decision.heading_rad) == pytest.approx(aim, abs=6.0)
 
 
-def test_at_the_end_it_stops_for_good() -> None:
+def test_robot_stops_for_good_when_it_is_at_the_end() -> None:
     planner = Planner(STRAIGHT)
     end = len(STRAIGHT.keyframes) - 1
     assert key(planner.decide(belief((end, -0.1, 0.0, 0.0)))) is Atom.FORWARD
@@ -165,17 +160,17 @@ def test_robot_gives_up_a_target_that_stays_far() -> None:
     planner = Planner(STRAIGHT)
     made = Counter[Atom]()
     while planner.said is None:
-        assert made.total() < 200, "it never says anything"
+        assert made.total() < 200, "no end is reported"
         made[key(planner.decide(END, seen=Glimpse(0.99, near=0.0)))] += 1
     assert planner.said == "not_here"
     assert made[Atom.FORWARD] * STRAIGHT.tick_s <= PLANNER_CONFIG.goal_s + STRAIGHT.tick_s
 
 
-def test_having_looked_all_around_it_says_that_it_is_not_here() -> None:
+def test_robot_reports_not_here_after_a_full_turn() -> None:
     planner = Planner(STRAIGHT)
     turned_rad = 0.0
     while planner.said is None:
-        assert turned_rad < 8.0, "it never says anything"
+        assert turned_rad < 8.0, "no end is reported"
         turned_rad += {Atom.LEFT: abs(float(STRAIGHT.movements[Atom.LEFT, 1]))}.get(
             key(planner.decide(END, seen=Glimpse(0.0, near=0.0))), 0.0
         )
@@ -202,9 +197,7 @@ def test_goal_is_not_reported_when_the_belief_is_unsure(
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.6])
-def test_unsure_robot_looks_around_then_guesses(
-    lost: float,
-) -> None:
+def test_unsure_robot_looks_around_then_guesses(lost: float) -> None:
     planner = Planner(STRAIGHT)
     unsure = SPLIT if not lost else belief((10, 0.0, 0.0, 0.0), lost=lost)
     decisions = [planner.decide(unsure) for _ in range(400)]
@@ -246,7 +239,7 @@ def test_stepwise_turn_ends_when_a_smaller_one_would_not_help() -> None:
     assert steps([-4.0, -8.0, -4.0, -2.0]) == [AHEAD, RIGHT, RIGHT, AHEAD]
 
 
-def test_at_a_low_rate_it_does_not_turn_to_and_fro() -> None:
+def test_robot_does_not_oscillate_when_its_rate_is_low() -> None:
     """A quarter of a second of turning is 11 degrees: from 6 to one side it would lead to 5 on the other."""
     assert steps([6.0, -5.25, 5.25], 0.25) == [LEFT, AHEAD, AHEAD]
 
@@ -279,7 +272,7 @@ def test_robot_reports_not_here_when_no_way_leads_on() -> None:
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_turn_that_is_still_under_way_is_reckoned_with(side: float) -> None:
+def test_steering_predicts_turns_that_are_under_way(side: float) -> None:
     turns = []
     for delay_s in (0.0, 0.1, 0.3):
         planner = Planner(STRAIGHT)
@@ -325,8 +318,8 @@ def test_robot_goes_to_the_start_when_it_is_behind_it(ahead: float) -> None:
     assert decision.heading_rad == pytest.approx(0.0, abs=1e-6)
 
 
-@pytest.mark.parametrize(("left", "turn_deg"), [(0.0, 0.0), (0.25, 15.0), (-0.25, -25.0)])
-def test_filter_and_planner_drive_the_taught_way_to_its_end(left: float, turn_deg: float) -> None:
+@pytest.mark.parametrize(("left", "turn_deg"), [(0.25, 15.0), (-0.25, -25.0)])
+def test_robot_reaches_the_goal_when_it_starts_beside_the_way(left: float, turn_deg: float) -> None:
     goal = drive().poses[-1]
     found = Filter(*usual_map())
     planner = Planner(usual_map()[0])
@@ -389,11 +382,9 @@ def meetings(draw: st.DrawFn) -> Stitches:
     return tuple(sorted(found.items()))
 
 
-@settings(deadline=None)
+@settings(max_examples=40)
 @given(meetings())
-def test_every_step_is_nearer_to_the_goal(
-    stitches: Stitches,
-) -> None:
+def test_every_step_is_nearer_to_the_goal(stitches: Stitches) -> None:
     three = map_of(*LENGTHS_M, goals=("victim", "victim", "elsewhere"), stitches=stitches)
     cost, following = cost_to_go(three, "victim")
     on_way = np.flatnonzero(following >= 0)
@@ -403,7 +394,7 @@ def test_every_step_is_nearer_to_the_goal(
 
 
 @pytest.mark.parametrize(("goal", "end", "other_end"), [("kitchen", 40, 101), ("office", 101, 40)])
-def test_it_arrives_at_the_named_goal_only(goal: str, end: int, other_end: int) -> None:
+def test_robot_arrives_at_the_named_goal_only(goal: str, end: int, other_end: int) -> None:
     planner = Planner(fork(), goal)
     assert planner.decide(belief((other_end, 0.0, 0.0, 0.0))).kind != "goal"
     assert not planner.said
@@ -414,7 +405,9 @@ def test_it_arrives_at_the_named_goal_only(goal: str, end: int, other_end: int) 
     (None, 40, "the model has the goals kitchen, office; name one of them"),
     ("cellar", 40, "the model has no goal 'cellar'; it has kitchen, office"),
 ])  # fmt: skip
-def test_a_goal_that_is_unknown_or_not_said(goal: str | None, end: int, said: str) -> None:
+def test_goal_is_refused_when_it_is_unknown_or_missing(
+    goal: str | None, end: int, said: str
+) -> None:
     with pytest.raises(ValueError, match=f"^{said}$"):
         Planner(fork(), goal)
     assert (
@@ -433,7 +426,7 @@ def test_robot_looks_round_then_stands_when_no_way_leads_on() -> None:
     assert planner.decide(belief((70, 0.0, 0.0, 0.0))).kind == "follow"
 
 
-def test_a_fork_of_even_chances_is_not_left_right_left_right() -> None:
+def test_robot_looks_to_one_side_when_a_fork_is_ambiguous() -> None:
     planner = Planner(STRAIGHT)
     atoms = []
     for k in range(60):
@@ -444,7 +437,7 @@ def test_a_fork_of_even_chances_is_not_left_right_left_right() -> None:
     assert sum(one is not other for one, other in itertools.pairwise(atoms)) == 1
 
 
-def test_time_counts_and_not_frames() -> None:
+def test_guess_depends_on_time_when_the_rate_differs() -> None:
     usual = Planner(STRAIGHT)
     fast = Planner(STRAIGHT)
     lost = belief((10, 0.0, 0.0, 0.0), lost=0.9)

@@ -44,14 +44,14 @@ def _drive(
 
 
 @pytest.mark.parametrize("odometry", [True, False])
-def test_it_reaches_the_end_of_the_taught_way_and_says_so(odometry: bool) -> None:
+def test_robot_reports_the_end_of_the_taught_way(odometry: bool) -> None:
     robot = Robot(model(odometry))
     (x, y, _), _ = _drive(robot, (0.1, 0.3, 0.1), odometry)
     assert robot.done
     assert math.hypot(x - pose(FRAMES - 1)[0], y) < 0.6
 
 
-def test_it_says_where_it_is() -> None:
+def test_robot_reports_its_position() -> None:
     robot = Robot(model())
     for frame in range(8):
         robot.step(view(*pose(frame)), pose(frame))
@@ -68,7 +68,7 @@ def test_paper_robot_reaches_the_end_too() -> None:
     assert robot.done
 
 
-def test_a_model_of_the_other_scheme_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_model_is_refused_when_it_is_of_the_other_scheme(tmp_path: Path) -> None:
     paper_model().save(tmp_path / "paper.smal")
     with pytest.raises(ModelError, match="learned for the scheme 'paper', not 'filter'") as refused:
         Model.load(tmp_path / "paper.smal")
@@ -86,7 +86,7 @@ def test_map_names_its_drives(tmp_path: Path) -> None:
     assert Model.load(tmp_path / "taught.smal").mapped.names == (("seen",),)
 
 
-def test_a_frame_that_is_refused_does_not_move_the_robot() -> None:
+def test_robot_does_not_move_when_a_frame_is_refused() -> None:
     known = model()
     one = Localizer(known)
     other = Localizer(known)

@@ -33,7 +33,7 @@ def outcomes(found: dict[str, Any]) -> list[str]:
     return [episode["outcome"] for episode in found["episodes"]]
 
 
-def test_one_drive_is_recorded_drawn_and_gives_a_map_of_views(taught: Path) -> None:
+def test_drive_is_recorded_drawn_and_learned(taught: Path) -> None:
     assert len(list((taught / "drives").glob("*.mcap"))) == 1
     assert not list((taught / "drives").glob("*.partial"))
     picture = cv2.imread(str(taught / "drives" / "drives.png"))

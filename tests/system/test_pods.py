@@ -6,7 +6,6 @@ No cluster is to be had where the tests run. Addresses and folders are put for t
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import urllib.error
@@ -19,6 +18,7 @@ from typing import Any
 
 import pytest
 
+from services.cli.stack import free_endpoint
 from services.table import stack_services
 from tests.command import run_smal
 from tests.kustomize import built, containers
@@ -29,19 +29,13 @@ from tests.services.waiting import eventually
 pytestmark = [pytest.mark.rendering, pytest.mark.system]
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 @dataclass
 class Pod:
     """A container of a pod, and the process that stands for it."""
 
     container: dict[str, Any]
     process: subprocess.Popen[bytes]
-    http: int
+    http: str
     log: Path
 
     def passes(self, probe: str) -> bool:
@@ -53,7 +47,7 @@ class Pod:
         assert self.process.poll() is None, self.log.read_text()
         try:
             with urllib.request.urlopen(
-                f"http://127.0.0.1:{self.http}{asked['path']}", timeout=100.0
+                f"http://{self.http}{asked['path']}", timeout=100.0
             ) as answer:
                 return bool(answer.status == 200)
         except (urllib.error.URLError, OSError):
@@ -77,11 +71,11 @@ def running(
             (container,) = containers(one)
             role = one["metadata"]["name"]
             for pod in (f"{role}-{number}" for number in range(one["spec"]["replicas"])):
-                http = free_port()
+                http = free_endpoint().removeprefix("tcp/")
                 here = {
                     **routers,
                     "0.0.0.0:7447": routers.get(f"{pod}.router:7447", ""),
-                    "0.0.0.0:9100": f"127.0.0.1:{http}",
+                    "0.0.0.0:9100": http,
                     "127.0.0.1:8080": "127.0.0.1:0",
                     "/run/secrets/smal/ca.pem": f"{keys}/ca.pem",
                     "/run/secrets/smal/cert.pem": f"{keys}/{role}.pem",
@@ -115,7 +109,10 @@ def test_pods_find_the_victim_without_the_first_router(
 ) -> None:
     objects = built(ROOT / "deploy" / "kubernetes" / "overlays" / "one-node")
     keys = make_keys(tmp_path / "keys")
-    routers = {f"router-{k}.router:7447": f"localhost:{free_port()}" for k in range(2)}
+    routers = {
+        f"router-{k}.router:7447": free_endpoint().replace("tcp/127.0.0.1", "localhost")
+        for k in range(2)
+    }
     both = ",".join(f"tls/{address}" for address in routers.values())
     own = {
         "SMAL_ROOT": str(taught), "SMAL_MODEL": str(taught / "model.smal"), "SMAL_WORLD": str(near),
@@ -132,22 +129,13 @@ def test_pods_find_the_victim_without_the_first_router(
         # By now each of them has lost it, or it goes to the other one at its next word.
         for pod in pods.values():
             eventually(lambda pod=pod: pod.passes("readinessProbe"), 300.0)
-        run = (
-            "run",
-            "--model",
-            taught / "model.smal",
-            "--world",
-            near,
-            "--episodes",
-            1,
-            "--max-ticks",
-            400,
-        )
-        found = run_smal(*run, "--connect", both, "--secure", keys, "--json", tmp_path / "run.json")
+        report = tmp_path / "run.json"
+        run = ("run", "--model", taught / "model.smal", "--world", near, "--json", report)
+        short = ("--episodes", 1, "--max-ticks", 400)
+        found = run_smal(*run, *short, "--connect", both, "--secure", keys)
         assert found.returncode == 0, found.stderr
-        assert [
-            one["outcome"] for one in json.loads((tmp_path / "run.json").read_text())["episodes"]
-        ] == ["found"]
+        (episode,) = json.loads(report.read_text())["episodes"]
+        assert episode["outcome"] == "found"
         for name, pod in pods.items():
             assert eventually(lambda pod=pod: pod.passes("readinessProbe")), name
         # As Kubernetes ends them: all at once.

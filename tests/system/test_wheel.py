@@ -62,7 +62,7 @@ def test_wheel_has_every_file_of_the_packages(wheel: Path) -> None:
 
 
 @pytest.mark.rendering
-def test_a_world_by_its_name_is_drawn_from_another_folder(wheel: Path, tmp_path: Path) -> None:
+def test_world_is_drawn_by_its_name_from_another_folder(wheel: Path, tmp_path: Path) -> None:
     installed = tmp_path / "installed"
     zipfile.ZipFile(wheel).extractall(installed)
     # It comes before the project in development mode.

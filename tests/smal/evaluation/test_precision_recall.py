@@ -15,7 +15,7 @@ from smal.place_recognition import Matches
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 3.0), st.floats(1.0, 179.0))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=15)
 def test_poses_are_near_and_look_the_same_way(
     seed: int, distance_m: float, angle_deg: float
 ) -> None:
@@ -87,17 +87,11 @@ def by_hand(judgement: Judgement) -> list[tuple[float, float, float]]:
 
 def taken(judgement: Judgement, queries: NDArray[np.int64]) -> Judgement:
     j = judgement
-    return Judgement(
-        j.score[queries],
-        j.answered[queries],
-        j.right[queries],
-        j.judged[queries],
-        j.findable[queries],
-    )
+    arrays = (j.score, j.answered, j.right, j.judged, j.findable)
+    return Judgement(*(one[queries] for one in arrays))
 
 
 @given(judgements())
-@settings(deadline=None)
 def test_equals_counting_by_hand(judgement: Judgement) -> None:
     curve = PrecisionRecall.of(judgement)
     points = by_hand(judgement)
@@ -114,8 +108,8 @@ def test_equals_counting_by_hand(judgement: Judgement) -> None:
 
 
 @given(judgements(), st.integers(0, 1000))
-@settings(max_examples=50, deadline=None)
-def test_a_query_counts_as_often_as_it_is_drawn(judgement: Judgement, seed: int) -> None:
+@settings(max_examples=50)
+def test_query_counts_as_often_as_it_is_drawn(judgement: Judgement, seed: int) -> None:
     times = np.random.default_rng(seed).integers(0, 4, judgement.judged.size)
     assume((times * judgement.findable).any())
     curve = PrecisionRecall.of(judgement, times)
@@ -124,8 +118,8 @@ def test_a_query_counts_as_often_as_it_is_drawn(judgement: Judgement, seed: int)
 
 
 @given(judgements(), st.integers(0, 1000))
-@settings(max_examples=20, deadline=None)
-def test_the_bootstrap_draws_blocks_that_follow_each_other(judgement: Judgement, seed: int) -> None:
+@settings(max_examples=20)
+def test_bootstrap_draws_consecutive_blocks(judgement: Judgement, seed: int) -> None:
     """A block as long as the traverse is all of it, wherever it begins."""
     curve = PrecisionRecall.of(judgement)
     figures = bootstrap(judgement, int(judgement.judged.sum()), resamples=5, seed=seed)

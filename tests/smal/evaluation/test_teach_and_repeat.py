@@ -93,7 +93,7 @@ def aside_of(way: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[np
 @pytest.mark.parametrize(
     "start", [(0.0, 0.0, 0.0), (0.0, 0.6, 0.2), (0.0, -0.6, 0.25), (0.3, 0.6, -0.3)]
 )
-def test_it_comes_back_to_the_taught_way_and_stops_at_its_end(
+def test_repeat_returns_to_the_taught_way_and_stops_at_its_end(
     start: tuple[float, float, float],
 ) -> None:
     wood = Wood(1)

@@ -69,7 +69,7 @@ def test_transitions_do_not_cross_demonstrations() -> None:
     assert T.matrix.toarray().tolist() == [[0, 1, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1], [0, 0, 0, 1]]
 
 
-def test_the_end_of_a_recovery_is_no_goal() -> None:
+def test_recovery_ends_at_no_goal() -> None:
     T = learn_transitions(
         [int32(0, 1, 2), int32(3, 4)], [int32(0, 0, 0), int32(0, 0)], [True, False], 5
     )
@@ -83,7 +83,7 @@ def test_dwelling_expert_moves_on() -> None:
     assert T.action[T.expert_pairs()[0]] == 4
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**20))
 def test_rows_sum_to_one(seed: int) -> None:
     T = random_transitions(seed)
@@ -92,7 +92,7 @@ def test_rows_sum_to_one(seed: int) -> None:
     assert (T.probability > 0).all()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**20))
 def test_policy_iteration_agrees_with_the_linear_program(seed: int) -> None:
     """The least V that no action improves: an independent solver of the same problem."""
@@ -124,7 +124,7 @@ def test_policy_iteration_agrees_with_the_linear_program(seed: int) -> None:
     assert all((s, a) in seen for s, a in enumerate(by_policy.action.tolist()) if a != NO_ACTION)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**20), sparsity=st.sampled_from([0.01, 0.1, 0.5]))
 def test_expert_is_optimal_under_the_learned_reward(seed: int, sparsity: float) -> None:
     T = random_transitions(seed)

@@ -52,7 +52,7 @@ def test_large_problems(seed: int, kind: str) -> None:
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-4])
-def test_a_sequence_on_the_edge_is_kept(tolerance: float) -> None:
+def test_sequence_is_kept_when_its_weight_is_small(tolerance: float) -> None:
     """The query is one template and a little of another one far away, so little that rounding could hide it."""
     rng = np.random.default_rng(0)
     X = np.asfortranarray(unit(rng.standard_normal((3000, 400))).T, dtype=np.float32)

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
 
 from smal import solve
 from tests.benchmarks.recognition.algorithm2 import algorithm2
@@ -26,15 +24,10 @@ CASES = [
     for tolerance in (1e-3, 1e-6)
     if (one, tolerance) != ("rank deficient", 1e-6)
 ]
-# A problem is a seed: there is nothing to shrink.
-GENERATE = (Phase.explicit, Phase.generate)
 
 
 @pytest.mark.parametrize(("structure", "tolerance"), CASES)
-@settings(
-    max_examples=2, deadline=None, derandomize=True, phases=GENERATE, report_multiple_bugs=False
-)
-@given(seed=st.integers(0, 2**31))
+@pytest.mark.parametrize("seed", [0, 1])
 def test_every_entry_is_certified(structure: str, tolerance: float, seed: int) -> None:
     problem = structured(structure, seed)
     solutions = dict(answers(problem, tolerance))
@@ -54,14 +47,13 @@ def test_every_entry_is_certified(structure: str, tolerance: float, seed: int) -
 
 @pytest.mark.parametrize("structure", STRUCTURES)
 def test_agrees_with_cvxpy(structure: str) -> None:
-    seeds = [seed for seed in range(60) if structured(structure, seed).X.shape[1] <= 60][:2]
-    assert len(seeds) == 2
-    for problem in (structured(structure, seed) for seed in seeds):
-        best = optimum(problem)
-        norms = float(np.linalg.norm(problem.Y, axis=0).sum())
-        for name, solution in answers(problem, 1e-6):
-            assert solution.objective == pytest.approx(best, rel=1e-5, abs=1e-6 * norms), name
-            check_bounds({name: solution}, best * (1 + 1e-6) + 1e-7 * norms)
+    problems = (structured(structure, seed) for seed in range(60))
+    problem = next(one for one in problems if one.X.shape[1] <= 60)
+    best = optimum(problem)
+    norms = float(np.linalg.norm(problem.Y, axis=0).sum())
+    for name, solution in answers(problem, 1e-6):
+        assert solution.objective == pytest.approx(best, rel=1e-5, abs=1e-6 * norms), name
+        check_bounds({name: solution}, best * (1 + 1e-6) + 1e-7 * norms)
 
 
 @pytest.mark.parametrize("length", [1, 3, 5])
@@ -76,7 +68,7 @@ def test_agrees_with_algorithm_2(length: int) -> None:
 
 
 @pytest.mark.parametrize("lambdas", [(1.0, 0.0), (0.0, 1.0), (0.5, 0.8)])
-def test_lambda_at_which_the_weights_vanish(lambdas: tuple[float, float]) -> None:
+def test_weights_vanish_when_lambda_reaches_its_edge(lambdas: tuple[float, float]) -> None:
     """W = 0 is optimal where X_j^T Y / ||y_i|| of every sequence is in the dual set, and nowhere else."""
     X, Y = matching_problem(3, blocks=4, length=3)
     norms = np.linalg.norm(Y, axis=0)
@@ -92,7 +84,7 @@ def test_lambda_at_which_the_weights_vanish(lambdas: tuple[float, float]) -> Non
 
 
 @pytest.mark.parametrize("lambdas", [(0.3, 0.0), (0.0, 0.3)])
-def test_one_penalty_alone(lambdas: tuple[float, float]) -> None:
+def test_objective_is_minimal_when_one_penalty_is_zero(lambdas: tuple[float, float]) -> None:
     X, Y = matching_problem(8, blocks=5, length=4)
     problem = Problem(X, Y, 4, *lambdas)
     best = optimum(problem)
@@ -125,33 +117,19 @@ def test_zero_and_repeated_and_collinear_templates() -> None:
         assert not solution.weights[4].any()
 
 
-BAD = [np.nan, np.inf, -np.inf]
-
-
-@pytest.mark.parametrize("bad", BAD)
-@pytest.mark.parametrize("column", [0, 199, 399])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("lambda1", [0.1, 20.0])
-def test_templates_that_are_not_finite(bad: float, column: int, lambda1: float) -> None:
-    X, Y = matching_problem(0, blocks=100, length=4)
-    X[-1, column] = bad
-    for templates in (
-        X,
-        np.ascontiguousarray(X),
-        X.astype(np.float64),
-        np.ascontiguousarray(X, dtype=np.float64),
-    ):
-        with pytest.raises(ValueError, match="NaN or infinity"), np.errstate(all="ignore"):
-            solve(templates, Y, 4, lambda1, 0.1)
-
-
-@pytest.mark.parametrize("bad", BAD)
-@pytest.mark.parametrize("frame", [0, 3])
-def test_queries_that_are_not_finite(bad: float, frame: int) -> None:
-    X, Y = matching_problem(0, blocks=100, length=4)
-    Y[-1, frame] = bad
-    for query in (Y, np.ascontiguousarray(Y), Y.astype(np.float64)):
-        with (
-            pytest.raises(ValueError, match="query contains NaN or infinity"),
-            np.errstate(all="ignore"),
-        ):
-            solve(X, query, 4, 0.1, 0.1)
+@pytest.mark.parametrize(
+    ("name", "column"), [*(("X", k) for k in (0, 199, 399)), ("Y", 0), ("Y", 3)]
+)
+def test_problem_is_refused_when_an_entry_is_not_finite(
+    name: str, column: int, lambda1: float, bad: float
+) -> None:
+    given = dict(zip("XY", matching_problem(0, blocks=100, length=4), strict=True))
+    given[name][-1, column] = bad
+    named = "query contains NaN or infinity" if name == "Y" else "NaN or infinity"
+    for kind in (np.float32, np.float64):
+        for made in (np.asfortranarray, np.ascontiguousarray):
+            arrays = given | {name: made(given[name], dtype=kind)}
+            with pytest.raises(ValueError, match=named), np.errstate(all="ignore"):
+                solve(arrays["X"], arrays["Y"], 4, lambda1, 0.1)

@@ -23,7 +23,7 @@ def learned(drives: list[np.ndarray], tau: float = 0.3, max_bytes: int | None = 
     return learn_state_space(drives, LENGTH, (LAMBDA, LAMBDA), tau, max_bytes=max_bytes)
 
 
-def test_a_repeated_drive_shares_its_states() -> None:
+def test_repeated_drive_shares_its_states() -> None:
     space = learned([noisy(VIEWS, seed) for seed in range(3)])
     assert space.states == 12
     for stream in space.streams:

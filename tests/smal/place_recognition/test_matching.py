@@ -17,7 +17,7 @@ from smal.place_recognition.traverse_centering import PRIOR_FRAMES, centre_trave
 from tests.smal.place_recognition.traverses import Walk, random_features
 
 
-def test_the_surest_have_the_precision_that_is_asked_for() -> None:
+def test_surest_matches_have_the_requested_precision() -> None:
     """Of scores .99, .9, .9 and .5 the first three are right in 93 of 100 cases."""
     matches = Matches(np.arange(5), np.array([0.9, 0.5, 0.99, 0.9, 0.0]), np.zeros(5))
     assert matches.surest(0.93).matched.tolist() == [True, False, True, True, False]
@@ -55,7 +55,7 @@ def test_features_are_of_any_kind() -> None:
     assert smal.match(references, queries + 5.0, tolerance=2, lag=3).score[20:].mean() > 0.8
 
 
-def test_a_way_that_is_driven_twice_is_a_loop() -> None:
+def test_way_is_a_loop_when_it_is_driven_twice() -> None:
     walk = Walk(np.random.default_rng(0), 200)
     there = np.tile(np.arange(150.0), 2)
     found = smal.match(walk.at(there, 0.5), tolerance=2)
@@ -70,7 +70,7 @@ REFERENCES = RNG.normal(size=(40, SETTINGS.size)).astype(np.float32)
 
 
 @pytest.mark.parametrize("count", [1, PRIOR_FRAMES, 3 * PRIOR_FRAMES])
-def test_the_prior_counts_as_some_frames(count: int) -> None:
+def test_prior_counts_as_frames(count: int) -> None:
     queries = RNG.normal(size=(count, SETTINGS.size)).astype(np.float32)
     frames = np.concatenate([queries, np.tile(REFERENCES.mean(axis=0), (PRIOR_FRAMES, 1))])
     expected = Centering.fit(frames, SETTINGS).apply(queries)
@@ -79,7 +79,7 @@ def test_the_prior_counts_as_some_frames(count: int) -> None:
     )
 
 
-def test_if_causal_no_query_knows_of_later_ones() -> None:
+def test_causal_centering_ignores_later_queries() -> None:
     queries = RNG.normal(size=(30, SETTINGS.size)).astype(np.float32)
     causal = centre_traverses(REFERENCES, queries, SETTINGS, causal=True)[1]
     for seen in (1, 7, 30):
@@ -99,7 +99,7 @@ def by_hand(
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 25), st.integers(0, 25), st.integers(1, 8))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_equals_a_search_by_hand(seed: int, n: int, q: int, length: int) -> None:
     rng = np.random.default_rng(seed)
     references = random_features(rng, n)
@@ -122,7 +122,7 @@ def dense(chain: Chain) -> np.ndarray:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9), st.integers(1, 20))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_probabilities_are_those_of_dense_matrices(
     seed: int, references: int, queries: int
 ) -> None:

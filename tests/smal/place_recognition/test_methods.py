@@ -52,7 +52,7 @@ def test_every_method_finds_its_way(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(METHODS))
-def test_of_too_few_frames_no_method_finds_a_match(name: str) -> None:
+def test_no_method_finds_a_match_when_frames_are_too_few(name: str) -> None:
     method = METHODS[name]
     length = 6 if method.any_length else method.length
     references, queries = raw_traverses(method.features)

@@ -52,7 +52,7 @@ def traverses(
     ("name", "lag"),
     [*((name, None) for name in sorted(drives())), *((name, 10) for name in LAGGED)],
 )
-def test_the_place_is_found(name: str, lag: int | None) -> None:
+def test_place_is_found(name: str, lag: int | None) -> None:
     places = drives()[name]
     matches = match_places(*traverses(places, 1.5), lag=lag)
     right = np.abs(matches.reference - places) <= 2
@@ -150,7 +150,7 @@ def test_answers_depend_on_no_frame_after_the_lag() -> None:
 @given(
     st.integers(0, 2**32 - 1), st.integers(1, 30), st.integers(1, 30), st.sampled_from([None, 0, 3])
 )
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_sizes(seed: int, n: int, q: int, lag: int | None) -> None:
     rng = np.random.default_rng(seed)
     references, queries = (

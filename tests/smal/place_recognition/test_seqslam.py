@@ -59,7 +59,7 @@ class ByHand:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 25), st.integers(0, 14), st.integers(1, 6))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_equals_the_equations(seed: int, n: int, q: int, length: int) -> None:
     rng = np.random.default_rng(seed)
     references = random_features(rng, n)

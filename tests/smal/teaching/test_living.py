@@ -79,7 +79,7 @@ def test_taught_day_teaches_nothing_new() -> None:
     assert not verdict.better
 
 
-def test_the_other_half_of_the_runs_decides() -> None:
+def test_second_half_of_the_runs_decides() -> None:
     better, verdict = lived(model(), [run(7, 0.6, aside) for aside in (0.05, -0.05, 0.1, 0.0)])
     assert verdict.better
     assert len(better.mapped.looks) > 0
@@ -107,7 +107,7 @@ def test_failed_run_or_run_without_images_teaches_nothing() -> None:
     assert taken_up(model(), [replace(run(7, 0.6), camera=None)]) is model()
 
 
-def test_a_look_that_is_the_taught_one_changes_no_belief() -> None:
+def test_belief_is_unchanged_when_a_view_variant_is_a_copy() -> None:
     taught = model().mapped
     keys = np.arange(0, len(taught.keyframes), 3, dtype=np.int32)
     twice = replace(taught, views=np.concatenate([taught.views, taught.views[keys]]), looks=keys)

@@ -93,7 +93,7 @@ def fitted(room: Room, one: Drive, seen_by: Camera = CAMERA, told: Camera | None
     return fit_scene(frames, told or fit_camera(frames), 0.6)
 
 
-def test_a_drive_tells_its_camera() -> None:
+def test_camera_is_fitted_to_a_drive() -> None:
     found = fitted(Room(), drive())
     assert found.camera.lens == "plumb_bob"
     assert found.camera.field_deg == pytest.approx(FIELD_DEG, abs=5.0 + 1e-6)
@@ -117,7 +117,7 @@ def test_drive_without_turns_assumes_or_keeps_a_camera() -> None:
 
 
 @pytest.mark.parametrize(("speed", "rate_hz"), [(2.0, 10.0), (0.5, 20.0)])
-def test_views_tell_how_far_an_atom_turns(speed: float, rate_hz: float) -> None:
+def test_turn_of_an_atom_is_measured_on_views(speed: float, rate_hz: float) -> None:
     one = drive(speed=speed, rate_hz=rate_hz)
     images = [PAINTED.look(pose) for pose in one.poses]
     centering = Centering.fit(raw_of(images), COLOR)

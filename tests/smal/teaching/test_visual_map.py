@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -33,16 +33,8 @@ BEND = ((3.0, 60.0), (1.5, 0.0))
 MIDDLE = TURNS_DEG.size // 2
 
 
-@cache
 def at_rate(rate_hz: float) -> VisualMap:
     return taught(ROOM, drive(way=BEND, rate_hz=rate_hz), rate_hz=rate_hz, scene=SCENE)[0]
-
-
-@cache
-def of_two_drives() -> VisualMap:
-    first = drive(way=((2.0, 0.0),), rate_hz=5.0)
-    second = drive((2.5, 4.5, 0.0), ((1.5, 30.0),), rate_hz=5.0)
-    return taught(ROOM, first, second, rate_hz=5.0, scene=SCENE)[0]
 
 
 def learn(
@@ -73,10 +65,9 @@ def test_keyframes_are_spaced_by_correlation_length_and_turn() -> None:
     assert ((way >= 0.2 * found.correlation_length - 1e-9) | (turn >= 12.0 - 1e-9))[:-1].all()
 
 
-@pytest.mark.parametrize("rate_hz", [5.0, 20.0])
-def test_the_frame_rate_does_not_change_the_map(rate_hz: float) -> None:
+def test_map_is_similar_when_the_frame_rate_differs() -> None:
     usual = at_rate(10.0)
-    other = at_rate(rate_hz)
+    other = at_rate(5.0)
     # The measured length is no bound of what was looked at.
     assert usual.correlation_length < 0.7
     assert other.correlation_length == pytest.approx(usual.correlation_length, rel=0.15)
@@ -88,7 +79,7 @@ def test_the_frame_rate_does_not_change_the_map(rate_hz: float) -> None:
     assert other.speed == pytest.approx(usual.speed, rel=1e-6)
 
 
-def test_a_view_is_most_alike_to_the_virtual_view_from_there() -> None:
+def test_view_matches_the_virtual_view_of_its_pose() -> None:
     found, centering = usual_map()
     for key in range(2, len(found.keyframes), 6):
         x, y, heading = found.key_poses[key]
@@ -157,7 +148,7 @@ def test_hidden_view_does_not_shorten_the_correlation_length() -> None:
     assert length_of(way, np.stack(views)) == pytest.approx(3.0, rel=0.25)
 
 
-def test_views_that_stay_alike_nowhere_are_refused() -> None:
+def test_drive_is_refused_when_its_views_are_too_far_apart() -> None:
     rng = np.random.default_rng(0)
     way = np.repeat(np.arange(0.0, 40.0), 3)
     views = unit(rng.standard_normal((len(way), 1024)).astype(np.float32))
@@ -192,11 +183,9 @@ class Reader(Sequence[Image]):
             self.held -= 1
 
 
-def test_images_are_read_when_they_are_needed_and_let_go() -> None:
-    drives = [
-        drive(way=((4.0, 60.0),), rate_hz=40.0),
-        drive((2.5, 4.5, 0.0), ((1.0, 0.0),), rate_hz=40.0),
-    ]
+def test_images_are_read_when_needed_and_released() -> None:
+    starts = (START, ((3.0, 60.0),)), ((2.5, 4.5, 0.0), ((1.0, 0.0),))
+    drives = [drive(*one, rate_hz=40.0) for one in starts]
     raw = [np.stack([extract(ROOM.look(pose), COLOR) for pose in one.poses]) for one in drives]
     readers = [Reader(one.poses) for one in drives]
     done: list[tuple[str, int, int]] = []
@@ -229,7 +218,7 @@ def test_images_are_read_when_they_are_needed_and_let_go() -> None:
 
 
 @pytest.mark.parametrize("odometry", [True, False])
-def test_a_robot_that_never_moves_is_refused(odometry: bool) -> None:
+def test_drive_is_refused_when_the_robot_never_moves(odometry: bool) -> None:
     images = [ROOM.look(START)] * 12
     with pytest.raises(ValueError, match="does not move") as refused:
         learn(
@@ -238,28 +227,24 @@ def test_a_robot_that_never_moves_is_refused(odometry: bool) -> None:
     assert "\n" not in str(refused.value)
 
 
-def test_a_drive_that_stands_is_refused_beside_one_that_does_not() -> None:
+def test_drive_is_refused_when_the_robot_stands_in_one_of_two() -> None:
     one = drive(way=((1.5, 0.0),))
     still = [ROOM.look(START)] * 5
     views = [ROOM.look(pose) for pose in one.poses]
+    poses = [one.poses, np.tile(START, (5, 1))]
     with pytest.raises(ValueError, match="the robot hardly moves in it"):
-        learn(
-            [views, still],
-            [one.poses, np.tile(START, (5, 1))],
-            [one.atoms, np.zeros(5, dtype=np.int8)],
-        )
+        learn([views, still], poses, [one.atoms, np.zeros(5, dtype=np.int8)])
 
 
-def test_camera_that_sees_nothing_is_refused() -> None:
+def test_drive_is_refused_when_its_images_are_all_alike() -> None:
     one = drive(way=((1.0, 0.0),))
+    blank = [np.full((72, 96, 3), 40, dtype=np.uint8)] * len(one.poses)
     with pytest.raises(ValueError, match="all images of the demonstrations look the same"):
-        learn(
-            [[np.full((72, 96, 3), 40, dtype=np.uint8)] * len(one.poses)], [one.poses], [one.atoms]
-        )
+        learn([blank], [one.poses], [one.atoms])
 
 
-def test_the_content_makes_the_map_again() -> None:
-    good = of_two_drives()
+def test_map_is_the_same_when_it_is_made_from_its_content() -> None:
+    good = usual_map()[0]
     numbers, arrays = good.content()
     again = VisualMap.of_content(json.loads(json.dumps(numbers)), arrays)
     assert not {*numbers} & {*arrays}
@@ -273,12 +258,8 @@ def test_the_content_makes_the_map_again() -> None:
     [
         ("basis", lambda basis: 1e30 * basis, "components"),
         ("basis", lambda basis: basis[:, :0], "components"),
-        ("keyframes", lambda keys: np.where(np.arange(keys.size) == 1, -1, keys), "keyframes"),
-        (
-            "keyframes",
-            lambda keys: np.where(np.arange(keys.size) == 1, np.iinfo(keys.dtype).max, keys),
-            "keyframes",
-        ),
+        ("keyframes", lambda keys: np.append(keys[:-1], -1), "keyframes"),
+        ("keyframes", lambda keys: np.append(keys[:-1], np.int32(2**31 - 1)), "keyframes"),
         ("scene", lambda _: [1.0, 1.0, 1.0], "scene"),
         ("movements", lambda movements: 1e300 * movements, "movements"),
         ("basis", lambda basis: np.zeros((0, 10**6), basis.dtype), "components"),
@@ -286,11 +267,7 @@ def test_the_content_makes_the_map_again() -> None:
         ("blank", lambda blank: blank[1:], "blank"),
         ("log_ratio", lambda ratio: ratio[1:], "log_ratio"),
         ("log_ratio", lambda ratio: np.full_like(ratio, np.nan), "log_ratio"),
-        (
-            "drives",
-            lambda drives: np.where(np.arange(drives.size) == drives.size - 1, 2, drives),
-            "drives",
-        ),
+        ("drives", lambda drives: np.append(drives[:-1], np.int32(2)), "drives"),
         ("goals", lambda _: ("",), "goals"),
         ("goals", lambda _: ("a\x1b[2J",), "goals"),
         ("goals", lambda _: ("x" * 65,), "goals"),
@@ -301,13 +278,15 @@ def test_the_content_makes_the_map_again() -> None:
         ("looks", lambda _: np.zeros(4, dtype=np.int32), "looks"),
     ],
 )
-def test_a_damaged_map_is_refused(name: str, harm: Callable[[Any], Any], named: str) -> None:
+def test_map_is_refused_when_its_parts_do_not_fit(
+    name: str, harm: Callable[[Any], Any], named: str
+) -> None:
     found = usual_map()[0]
     with pytest.raises(ValueError, match=f"do not fit together: .*{named}"):
         replace(found, **{name: harm(getattr(found, name))})
 
 
-def test_an_executor_of_ones_own_learns_the_same_map(tmp_path: Path) -> None:
+def test_map_is_the_same_when_another_executor_learns_it(tmp_path: Path) -> None:
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         mapping.fit([corridor.drive()], corridor.FEATURES, parallel=pool.map).save(
             tmp_path / "there"

@@ -62,7 +62,7 @@ def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
     assert run_in(page, "document.querySelector('#belief img').naturalWidth") == 160
 
 
-def test_a_map_that_is_dropped_is_a_world_to_drive_in(page: Page, site: Site) -> None:
+def test_map_becomes_a_world_when_it_is_dropped(page: Page, site: Site) -> None:
     drop(page, WORLDS_FOLDER / "yard.osm", "My town!.osm")
     world = page.locator("#world-form [name=world]")
     eventually(lambda: world.input_value() == "My town-", timeout_s=120.0)
