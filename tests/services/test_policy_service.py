@@ -120,16 +120,6 @@ def test_repeated_state_has_the_same_answer(policy: PolicyService, model: Path) 
     assert made(policy.handle(belief(1, model, lost=0.9)))[0] == "look_around"
 
 
-@pytest.mark.parametrize("status", ["recognized", "unknown", "collecting"])
-def test_policy_stops_when_a_state_has_no_such_place(
-    policy: PolicyService, model: Path, status: str
-) -> None:
-    beyond = places((len(corridor.model().mapped.keyframes), 0.0, 0.0, 0.0, 1.0))
-    (command,) = policy.handle(state(0, model, status=status, places=beyond))
-    assert isinstance(command, Command)
-    assert command.atom == "stop"
-
-
 def test_a_new_episode_starts_afresh(policy: PolicyService, model: Path) -> None:
     last = len(corridor.model().mapped.keyframes) - 1
     assert made(policy.handle(belief(0, model, last)))[0] == "goal"

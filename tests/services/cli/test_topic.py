@@ -99,11 +99,6 @@ def test_a_bad_key_expression_is_one_line(mistake: Mistake, client: Bus) -> None
     assert "smal//x" in mistake(1, "topic", "echo", "smal//x", "--router", client.endpoint)
 
 
-def test_no_router_is_one_line(mistake: Mistake, free_endpoint: str) -> None:
-    said = mistake(1, "topic", "echo", "--router", free_endpoint)
-    assert said == f"smal: no router at {free_endpoint}; start the stack with `smal up`\n"
-
-
 KEY = "smal/rescuebot/command/teleop"
 
 

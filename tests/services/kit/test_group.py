@@ -14,7 +14,7 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from schemas import topics
@@ -42,12 +42,14 @@ ROBOTS = st.from_regex(r"[a-z0-9][a-z0-9_-]{0,31}", fullmatch=True)
 PREFIX = "smal/rescuebot/@group/features"
 
 
+@settings(max_examples=30)
 @given(INSTANCES, ROBOTS)
 def test_robot_has_one_owner(instances: set[str], robot: str) -> None:
     assert owner(robot, instances) in instances
     assert owner(robot, sorted(instances)) == owner(robot, sorted(instances, reverse=True))
 
 
+@settings(max_examples=30)
 @given(INSTANCES, st.sets(ROBOTS, max_size=20), st.data())
 def test_where_an_instance_leaves_its_robots_alone_move(
     instances: set[str], robots: set[str], data: st.DataObject
@@ -60,14 +62,8 @@ def test_where_an_instance_leaves_its_robots_alone_move(
         assert after != gone
 
 
-@given(
-    st.dictionaries(
-        st.from_regex(r"[0-9a-f]{8}", fullmatch=True),
-        st.integers(1, MAX_ROBOTS),
-        min_size=1,
-        max_size=9,
-    )
-)
+@settings(max_examples=30)
+@given(st.dictionaries(NAMES, st.integers(1, MAX_ROBOTS), min_size=1, max_size=9))
 def test_robots_are_shared_among_the_instances_that_serve_them(counts: dict[str, int]) -> None:
     instances = {f"{one}-{many}": many for one, many in counts.items()}
     shares = [share(one, fleet("rescuebot", many), instances) for one, many in instances.items()]
@@ -112,13 +108,6 @@ def test_an_instance_counts_while_its_answers_are_recent() -> None:
     assert answers.served() == {"rescuebot"}
     assert answers.answering(14.0 + ANSWER_S) == set()
     assert answers.served() == set()
-
-
-def test_announcements_without_an_answer_are_left_out() -> None:
-    announced = Seen.of(
-        [f"{PREFIX}/0123abcd-1", f"{PREFIX}/ffffffff-1", f"{PREFIX}/ffffffff-1/rescuebot"], PREFIX
-    )
-    assert announced.among(frozenset({"0123abcd-1"})) == (frozenset({"0123abcd-1"}), {})
 
 
 # -- at a router ------------------------------------------------------------------------------------------------------
@@ -473,11 +462,3 @@ def test_an_instance_ends_when_its_router_is_frozen(
     instance.stop()
     thread.join(50.0)
     assert not thread.is_alive()
-
-
-def test_token_query_is_empty_when_the_session_is_closed(
-    router_endpoint: str,
-) -> None:
-    bus = Bus("rescuebot", router_endpoint)
-    bus.close()
-    assert bus.look(f"{PREFIX}/**", 1.0) == frozenset()

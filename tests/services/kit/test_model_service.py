@@ -201,14 +201,3 @@ def test_policy_stops_when_a_state_is_of_another_model(
     assert atom(policy.handle(state(2, model, status="collecting"))) == "stop"
     assert atom(policy.handle(state(3, model, status="recognized", state=2))) == "forward"
     assert policy.detail()["states_of_another_model"] == 3
-
-
-def test_policy_obeys_another_model_once_it_is_loaded(
-    policy: PolicyService, model: Path, other: Path
-) -> None:
-    theirs = state(0, other, status="recognized", state=2)
-    assert atom(policy.handle(theirs)) == "stop"
-    policy.load(LoadedModel.read(other))
-    assert policy.detail()["states_of_another_model"] == 0
-    assert atom(policy.handle(theirs)) == "forward"
-    assert atom(policy.handle(state(1, model, status="collecting"))) == "stop"

@@ -197,22 +197,6 @@ def test_emergency_stop_holds_until_a_new_episode_is_asked_for(
     eventually(lambda: (console.type(b"w"), robot.atoms()[-1:] == ["forward"])[1])
 
 
-@pytest.mark.parametrize("key", [b"n", b"r"])
-def test_later_stop_is_not_released_by_an_earlier_key(
-    console: Console, robot: Robot, key: bytes
-) -> None:
-    begin(console, robot)
-    robot.gate.stop("fault")
-    console.wait_for("its body has failed")
-    robot.before_arm = robot.gate.stop
-    console.type(key)
-    console.wait_for("robot arm: another stop was latched since")
-    assert robot.arms == [1, 2]
-    assert robot.gate.emergency_stop == 3
-    assert len(robot.resets) == 1
-    assert not robot.gate.taken_over
-
-
 @pytest.mark.parametrize("when", ["before_arm", "before_reset"])
 def test_emergency_stop_survives_when_pressed_during_arming(
     console: Console, robot: Robot, when: str
