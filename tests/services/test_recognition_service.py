@@ -35,9 +35,7 @@ def at(
 ) -> State:
     """Give a frame and its odometry; return the state."""
     assert service.see(wheels(tick, pose, episode)) is None
-    state = service.handle(seen(tick, pose, episode))
-    assert state is not None
-    return state
+    return service.handle(seen(tick, pose, episode))
 
 
 def test_a_state_is_a_belief_over_places(service: RecognitionService, model: Path) -> None:

@@ -73,7 +73,6 @@ def test_laps_are_aligned_within_2_per_cent(tub: Path) -> None:
         assert (lap.last - lap.first) * LAPS[int(here_rad[-1] / math.tau)][0] == pytest.approx(
             math.tau, rel=0.15
         )
-        assert drive.odometry is not None
         assert drive.odometry[-1, 2] - drive.odometry[0, 2] == pytest.approx(math.tau, rel=0.06)
 
 

@@ -96,7 +96,6 @@ def matched(smal: Smal, *arguments: str) -> dict[str, object]:
 
 def references_of(written: dict[str, object]) -> list[int | None]:
     rows = written["matches"]
-    assert isinstance(rows, list)
     assert [row["query"] for row in rows] == list(range(len(rows)))
     assert all(set(row) == {"query", "reference", "score", "unknown"} for row in rows)
     return [row["reference"] for row in rows]

@@ -222,7 +222,6 @@ def test_box_goes_with_found_unless_the_robot_moves_on(
     def draw(*corners: tuple[float, float]) -> None:
         """Drag over the picture, which is 4 to 3, and shown whole."""
         at = page.locator("#camera canvas").bounding_box()
-        assert at is not None
         for number, (x, y) in enumerate(corners):
             page.mouse.move(at["x"] + at["width"] * x, at["y"] + at["height"] * y)
             if number == 0:

@@ -38,7 +38,6 @@ def scheduler_and_worker(keys: Path, folder: Path) -> Iterator[str]:
     scheduler = start("scheduler", "--port", "0", "--no-dashboard", *here)
     worker = None
     try:
-        assert scheduler.stderr is not None
         found = (re.search(r"Scheduler at:\s+(tls://\S+)", line) for line in scheduler.stderr)
         address = next(one[1] for one in found if one)
         worker = start("worker", address, "--nthreads", "1", "--no-dashboard", *here)

@@ -110,9 +110,6 @@ def test_an_instance_counts_while_its_answers_are_recent() -> None:
     assert answers.served() == set()
 
 
-# -- at a router ------------------------------------------------------------------------------------------------------
-
-
 class Robots:
     """Robots of a fleet: each publishes what it is told to, and counts the answers by robot and frame."""
 
@@ -275,7 +272,6 @@ def test_robots_keep_their_belief_when_an_instance_is_killed(
     assert max(many for (_, tick), many in robots.answers.items() if 0 < tick < 11) == 1
     for name in names:
         state = robots.newest[name]
-        assert isinstance(state, State)
         assert estimate(state) == pytest.approx((2.2, 0.0), abs=0.2), name
         assert state.tracked_m == pytest.approx(2.2, abs=0.3), name
 

@@ -94,9 +94,6 @@ def decisions(answer: list[Message]) -> list[Message]:
     return [message for message in answer if isinstance(message, Action)]
 
 
-# -- loading ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("cls", SERVICES)
 @pytest.mark.parametrize(("stride", "got"), [(None, LENGTH), (1, 1), (2, 2), (LENGTH, LENGTH)])
 def test_the_loaded_model_is_told(
@@ -170,9 +167,6 @@ def test_services_with_a_map_load_nothing_of_the_paper(tmp_path: Path) -> None:
         [sys.executable, "-c", program, mapped], capture_output=True, text=True, check=True
     )
     assert done.stdout == "[]\n"
-
-
-# -- two models -------------------------------------------------------------------------------------------------------
 
 
 def test_states_name_the_model_that_they_are_of(

@@ -46,9 +46,6 @@ def send_raw(node: Node, topic: Topic, payload: bytes, encoding: str) -> None:
     node._inbox.put(topic.name, (payload, encoding), len(payload))
 
 
-# -- messages ---------------------------------------------------------------------------------------------------------
-
-
 def test_a_message_is_handled_and_its_answers_are_published(
     node: Node, run_node: RunNode, client: Bus
 ) -> None:
@@ -126,9 +123,6 @@ def test_a_slow_handler_sees_the_newest_and_the_rest_is_counted(
     assert status(client).dropped == {TELEOP.name: 7}
 
 
-# -- calls ------------------------------------------------------------------------------------------------------------
-
-
 def serve_end(node: Node) -> None:
     def end(request: EndRequest) -> EndRequest | None:
         if request.episode == "gone":
@@ -183,9 +177,6 @@ def test_status_is_answered_while_a_handler_is_busy(
         assert status(client).detail == {"model": "campus"}
     finally:
         finish.set()
-
-
-# -- the loop ---------------------------------------------------------------------------------------------------------
 
 
 def test_timers_run_and_survive_failures(node: Node) -> None:
@@ -265,8 +256,6 @@ def test_a_signal_just_before_the_loop_waits_ends_it(
         signal.signal(*handled)
 
 
-# -- processes --------------------------------------------------------------------------------------------------------
-
 SERVICE = """
 from services.kit.settings import ServiceSettings
 from services.kit.process import run_node
@@ -303,7 +292,6 @@ def test_a_signal_stops_a_process_cleanly(
     router_endpoint: str, client: Bus, number: signal.Signals
 ) -> None:
     process = start("--router", router_endpoint)
-    assert process.stderr is not None
     with process:
         wait_for(process.stderr, "serving")
         assert ready(client, "sample").pid == process.pid

@@ -146,9 +146,6 @@ def test_the_root_is_the_folder_of_the_start_unless_it_is_set(
         RootSettings()
 
 
-# -- the recorder -----------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def recorder(settings: ServiceSettings, run_node: RunNode, client: Bus, root: Path) -> None:
     node = Node("recorder", settings)

@@ -101,8 +101,6 @@ def test_stop_is_repeated_when_the_robot_is_silent(settings: ServiceSettings, cl
         assert node.spin(lambda: len(stops) >= 3, 100.0)
 
 
-# -- presence ---------------------------------------------------------------------------------------------------------
-
 attended = pytest.mark.parametrize("robot", [True], indirect=True, ids=["attended"])
 
 

@@ -37,7 +37,6 @@ from tests.services.recordings.test_recorder_files import (
 def mended(path: Path, out: Path) -> Path:
     """Repair; return what came of it, which has no damage any more."""
     _, after = repair([path], out)
-    assert after is not None
     assert (after.state, after.damage) == ("sealed", [])
     check(out)
     return out
@@ -137,7 +136,6 @@ def seconds_of(path: Path) -> list[tuple[int, int, int]]:
     """Return where the chunks of a recording begin and end, and how many messages of ours are in each."""
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
-    assert summary is not None
     own = {number for number, channel in summary.channels.items() if not is_view(channel.topic)}
     found = []
     for one in summary.chunk_indexes:

@@ -63,8 +63,6 @@ def test_radio_sends_small_pictures_and_few_unanswered() -> None:
     runner.radio = True
     runner.jpeg_quality = 1
     first = reset(runner, mode="realtime")
-    assert isinstance(first[-1], CompressedImage)
-    assert isinstance(whole[-1], CompressedImage)
     assert first[-1].data == encode_jpeg(decode_jpeg(whole[-1].data), 1)
 
     def pictures(seconds: float) -> int:
@@ -240,7 +238,6 @@ def test_report_of_the_robot_ends_its_run_and_is_judged(
         assert ("ended", "found") not in events(answer(runner)), "it has said nothing yet"
     run = runner.running
     (ended,) = runner.end_by(EndRequest.model_validate({"episode": run.id, "said": said}))
-    assert isinstance(ended, Episode)
     assert (ended.outcome, ended.right) == (outcome, right)
 
 

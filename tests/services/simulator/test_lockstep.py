@@ -38,7 +38,6 @@ def test_it_waits_for_each_answer_and_moves_exactly_one_tick() -> None:
     messages = answer(runner)
     assert [type(m) for m in messages] == [CommandApplied, Odometry, Imu, TruePose, CompressedImage]
     assert body.moves == [("forward", 1.0, TICK_S)]
-    assert isinstance(messages[0], CommandApplied)
     assert messages[0].latency_ns == pytest.approx(1e9 * RESEND_S / 2)
     assert [m.tick for m in messages] == [0, 1, 1, 1, 1]
     assert messages[1].stamp_ns == 5 + 100_000_000
@@ -97,7 +96,6 @@ def test_how_an_episode_ends(
     runner, _ = begin(LineBody(Clock(), **line), **asked)
     said: list[Event] = []
     for atom in ["forward"] * 3 + ["backward"] if atoms < 0 else ["forward"] * atoms:
-        assert runner.running is not None
         said += events(answer(runner, atom))
     if runner.running is not None:
         said += events(runner.end())
@@ -109,7 +107,6 @@ def test_stopped_robot_stands_and_renders_nothing() -> None:
     runner, _ = begin(body)
     runner.gate.stop()
     (applied,) = runner.poll()
-    assert isinstance(applied, CommandApplied)
     assert (applied.reason, applied.answered_tick, applied.latency_ns) == (
         "emergency_stop",
         None,

@@ -56,9 +56,6 @@ def place(
     return float(x), float(y)
 
 
-# -- accuracy
-
-
 @settings(max_examples=12, deadline=None)
 @given(
     _shares, _shares, _angles, _angles, st.floats(0.3, 1.0), st.floats(0, 6), st.integers(0, 2**32 - 1)
@@ -88,9 +85,6 @@ def test_accuracy_holds_from_16_to_80_pixels_a_side(
     away_m, turned_deg = miss(found, pose)
     assert away_m < 0.01
     assert turned_deg < 1.0
-
-
-# -- when the tag is not seen
 
 
 def not_seen(image: np.ndarray, camera: Calibration = CAMERA, tag: Tag = TAG) -> str:
