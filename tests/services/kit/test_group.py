@@ -458,3 +458,9 @@ def test_an_instance_ends_when_its_router_is_frozen(
     instance.stop()
     thread.join(50.0)
     assert not thread.is_alive()
+
+
+def test_token_query_is_empty_when_the_session_is_closed(router_endpoint: str) -> None:
+    bus = Bus("rescuebot", router_endpoint)
+    bus.close()
+    assert bus.look(f"{PREFIX}/**", 1.0) == frozenset()

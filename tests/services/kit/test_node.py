@@ -73,16 +73,8 @@ def test_a_message_is_handled_and_its_answers_are_published(
         (b"", encoding_of(Command), "not msgpack"),
         (b"\x80", encoding_of(Command), "robot: Field required"),
         (encode(command(1)), "", "expected application/vnd.msgpack;smal.Command/1"),
-        (
-            encode(command(1, robot="stranger")),
-            encoding_of(Command),
-            "message of stranger/command/teleop",
-        ),
-        (
-            encode(command(1, source="policy")),
-            encoding_of(Command),
-            "message of rescuebot/command/policy",
-        ),
+        (encode(command(1, robot="stranger")), encoding_of(Command), "message of stranger/comma"),
+        (encode(command(1, source="policy")), encoding_of(Command), "message of rescuebot/comma"),
     ],
     ids=["garbage", "empty", "no fields", "no encoding", "another robot", "another source"],
 )
@@ -308,11 +300,7 @@ def test_a_signal_stops_a_process_cleanly(
     ("flags", "status", "line"),
     [
         (("--robot", "Bad Robot"), 2, "sample: robot: 'Bad Robot' must match pattern"),
-        (
-            ("--router", "nonsense"),
-            1,
-            "invalid router address 'nonsense': expected tcp/<host>:<port>",
-        ),
+        (("--router", "nonsense"), 1, "invalid router address 'nonsense': expected tcp/<host>:"),
     ],
 )
 def test_bad_settings_are_one_line(flags: tuple[str, ...], status: int, line: str) -> None:

@@ -20,7 +20,6 @@ from services.robot.runner import EpisodeRunner
 from services.robot.task import OperatorsTask
 from tests.schemas.messages import HEADER
 from tests.services.robot.driving import (
-    Runner,
     SteppedRealTime,
     advance,
     answer,
@@ -264,22 +263,14 @@ def test_where_a_person_says_that_the_goal_is_it_is() -> None:
 
 
 def test_report_is_not_judged_when_there_is_no_task() -> None:
-    body = LineBody(Clock())
-    gate = armed()
-    runner: Runner = EpisodeRunner(
-        body, OperatorsTask(), gate, "r", "s", paces=runner_of(body, gate)._paces
-    )
+    runner = runner_of(LineBody(Clock()), task=OperatorsTask())
     reset(runner, until_said=True)
     run = runner.running
     assert events(runner.end_by(EndRequest(episode=run.id, said="found"))) == [("ended", "aborted")]
 
 
 def test_a_robot_without_a_task_goes_on_past_every_goal() -> None:
-    body = LineBody(Clock(), goal=0.3)
-    gate = armed()
-    runner: Runner = EpisodeRunner(
-        body, OperatorsTask(), gate, "r", "s", paces=runner_of(body, gate)._paces
-    )
+    runner = runner_of(LineBody(Clock(), goal=0.3), task=OperatorsTask())
     reset(runner, max_ticks=5)
     assert [e for _ in range(5) for e in events(answer(runner))] == [
         ("timed_out", None),

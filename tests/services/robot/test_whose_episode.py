@@ -5,12 +5,11 @@ from typing import get_args
 import pytest
 
 from schemas.command import StopCause
-from schemas.heartbeat import Heartbeat
 from schemas.rpc import ArmRequest, EndRequest, ResumeRequest
 from services.kit.node import ServiceError
-from services.robot.gate import CommandGate
-from services.robot.runner import CLIENT_S, EpisodeRunner
+from services.robot.runner import CLIENT_S
 from services.robot.task import OperatorsTask
+from tests.services.robot import gating
 from tests.services.robot.driving import Runner, advance, answer, begin, reset, runner_of
 from tests.services.robot.line import Clock, LineBody
 
@@ -18,16 +17,8 @@ from tests.services.robot.line import Clock, LineBody
 def beat(
     runner: Runner, session: str, sequence: int = 0, *, operator: bool = False, present: bool = True
 ) -> None:
-    header = {
-        "robot": "r",
-        "episode": "e",
-        "tick": 0,
-        "stamp_ns": 0,
-        "session": session,
-        "name": "desk",
-    }
     answers = runner.pulse().number if operator else None
-    runner.hear(Heartbeat(**header, sequence=sequence, answers=answers, present=present))
+    runner.hear(gating.beat(session, sequence, answers, present=present))
 
 
 @pytest.mark.parametrize("cause", get_args(StopCause))
@@ -192,12 +183,7 @@ def test_lost_operator_stops_the_robot_in_every_mode() -> None:
 
 
 def test_goal_is_found_when_the_operator_reports_it() -> None:
-    body = LineBody(Clock())
-    gate = CommandGate(first_stop=1)
-    runner: Runner = EpisodeRunner(
-        body, OperatorsTask(), gate, "r", "s", paces=runner_of(body)._paces
-    )
-    runner.arm(ArmRequest(stop=1))
+    runner = runner_of(LineBody(Clock()), task=OperatorsTask())
     reset(runner, purpose="drive", driver="teleop")
     run = runner.running
     beat(runner, "o", operator=True)

@@ -102,24 +102,9 @@ def not_seen(image: np.ndarray, camera: Calibration = CAMERA, tag: Tag = TAG) ->
             for number in (6, 49)
         ),
         ([TAG, TAG], CAMERA, TAG, "2 markers with number 7"),
-        (
-            [TAG],
-            CAMERA,
-            replace(TAG, side_m=0.23),
-            "check the tag, its height and the calibration",
-        ),
-        (
-            [TAG],
-            CAMERA,
-            replace(TAG, height_m=0.0),
-            "check the tag, its height and the calibration",
-        ),
-        (
-            [TAG],
-            changed(CAMERA, focal_px=640.0),
-            TAG,
-            "check the tag, its height and the calibration",
-        ),
+        ([TAG], CAMERA, replace(TAG, side_m=0.23), "check the tag, its height and the calib"),
+        ([TAG], CAMERA, replace(TAG, height_m=0.0), "check the tag, its height and the calib"),
+        ([TAG], changed(CAMERA, focal_px=640.0), TAG, "check the tag, its height and the calib"),
     ],
 )
 def test_tag_is_not_seen_when_another_one_is_shown(
