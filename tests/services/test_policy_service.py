@@ -12,7 +12,7 @@ from services.kit.model_service import LoadedModel
 from services.policy.service import PolicyService
 from tests import corridor
 from tests.places import places
-from tests.services.chain import state
+from tests.services.chain import state, with_model
 
 
 @pytest.fixture(scope="module")
@@ -24,9 +24,7 @@ def papers_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def policy(model: Path) -> PolicyService:
-    service = PolicyService()
-    service.load(LoadedModel.read(model))
-    return service
+    return with_model(PolicyService(), model)
 
 
 def belief(tick: int, model: Path, keyframe: int = 5, turned_rad: float = 0.0, lost: float = 0.0,
@@ -79,8 +77,7 @@ def test_a_belief_becomes_an_action_and_a_command(
 def test_how_long_its_commands_take_is_heard_from_the_actuator(model: Path) -> None:
     turns = {}
     for delay_ms in (0, 60):
-        service = PolicyService()
-        service.load(LoadedModel.read(model))
+        service = with_model(PolicyService(), model)
         for tick in range(12):
             told = {
                 "atom": "left",
@@ -146,8 +143,7 @@ def test_no_robot_stands_between_two_maps(
 def test_it_stops_for_a_state_of_another_scheme(
     policy: PolicyService, model: Path, papers_model: Path, fields: dict[str, object]
 ) -> None:
-    papers = PolicyService()
-    papers.load(LoadedModel.read(papers_model))
+    papers = with_model(PolicyService(), papers_model)
     for service, theirs in ((policy, state(0, model, **fields)), (papers, belief(0, papers_model))):
         (command,) = service.handle(theirs)
         assert command.atom == "stop"
@@ -156,8 +152,7 @@ def test_it_stops_for_a_state_of_another_scheme(
 def test_it_stops_for_a_place_that_its_model_does_not_have(
     policy: PolicyService, model: Path, papers_model: Path
 ) -> None:
-    papers = PolicyService()
-    papers.load(LoadedModel.read(papers_model))
+    papers = with_model(PolicyService(), papers_model)
     beyond = state(0, papers_model, status="recognized", state=1_000_000)
     for service, wrong in ((policy, belief(0, model, keyframe=1_000_000)), (papers, beyond)):
         (command,) = service.handle(wrong)

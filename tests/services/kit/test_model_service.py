@@ -16,7 +16,7 @@ from services.policy.service import PolicyService
 from services.recognition.service import RecognitionService
 from smal.model import Model
 from tests import corridor
-from tests.services.chain import LENGTH, identity, observation, save_model, state
+from tests.services.chain import LENGTH, identity, observation, save_model, state, with_model
 
 Service = PolicyService | RecognitionService
 SERVICES = (PolicyService, RecognitionService)
@@ -73,16 +73,12 @@ def load_by_name(service: Service, root: Path, request: LoadRequest) -> None:
 
 @pytest.fixture
 def policy(model: Path) -> PolicyService:
-    service = PolicyService()
-    service.load(LoadedModel.read(model))
-    return service
+    return with_model(PolicyService(), model)
 
 
 @pytest.fixture
 def recognition(model: Path) -> RecognitionService:
-    service = RecognitionService()
-    service.load(LoadedModel.read(model))
-    return service
+    return with_model(RecognitionService(), model)
 
 
 def atom(answer: list[Message]) -> str:
