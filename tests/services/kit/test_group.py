@@ -25,6 +25,8 @@ from schemas.observation import Observation
 from schemas.rpc import LoadReply, LoadRequest
 from schemas.state import State
 from services.cli.stack import free_endpoint
+from services.features.__main__ import serve
+from services.features.service import FeaturesSettings
 from services.kit.bus import MOVE_S, Bus
 from services.kit.group import ANSWER_S, Answer, Answers, Group, Seen, owner, share
 from services.kit.node import LOOK_S
@@ -176,6 +178,19 @@ def start(
     stack: ExitStack, service: str, endpoint: str, robots: int, *flags: str
 ) -> subprocess.Popen[str]:
     return stack.enter_context(process(service, endpoint, "--robots", str(robots), *flags))
+
+
+def run_here(stack: ExitStack, instance: Group[Any]) -> None:
+    """Run an instance in this process."""
+    thread = threading.Thread(target=instance.run)
+    thread.start()
+    stack.callback(thread.join)
+    stack.callback(instance.stop)
+
+
+def features(endpoint: str, http: str) -> Group[FeaturesSettings]:
+    """Return an instance of features for one robot, which reports its health."""
+    return Group("features", FeaturesSettings(router=endpoint, http=http), serve)
 
 
 #: So many that each of three instances has some, but for one time in a thousand.
@@ -363,7 +378,7 @@ def test_an_announcement_does_not_take_a_robot(
         f"{stolen}/rescuebot",
     ):  # Announced before the real instance comes, it also claims the robot.
         stack.callback(client.stand(f"{PREFIX}/{key}"))
-    start(stack, "features", router_endpoint, 1, "--http", address)
+    run_here(stack, features(router_endpoint, address))
     (instance,) = robots.served_by("features", 1).values()
     robots.insist(image(0))
     lost_s = stack.enter_context(stalls())
@@ -394,10 +409,7 @@ def test_a_flood_of_announcements_keeps_no_instance_busy(
     instance = Looking(
         "features", FleetSettings(router=router_endpoint), lambda _node, _settings: None
     )
-    thread = threading.Thread(target=instance.run)
-    thread.start()
-    stack.callback(thread.join)
-    stack.callback(instance.stop)
+    run_here(stack, instance)
     eventually(lambda: instance.instance in instance._answering)
     before = instance.looks
     began_s = time.monotonic()
@@ -408,11 +420,12 @@ def test_a_flood_of_announcements_keeps_no_instance_busy(
 
 
 def test_a_robot_that_no_instance_serves_is_reported(
-    client: Bus, router_endpoint: str, stack: ExitStack
+    client: Bus, router_endpoint: str, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("services.kit.group.UNSERVED_S", 1.0)
     address = free_endpoint().removeprefix("tcp/")
     robots = Robots(client, ("rescuebot",), topics.OBSERVATION, stack)
-    start(stack, "features", router_endpoint, 1, "--http", address)
+    run_here(stack, features(router_endpoint, address))
     (instance,) = robots.served_by("features", 1).values()
     eventually(lambda: health(address) == "ok\n")
     # A thief of the role's key who answers as well is an instance; it serves nothing.
