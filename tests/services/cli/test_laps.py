@@ -90,7 +90,7 @@ def test_laps_page_shows_recognition_when_one_lap_teaches(
     (recording,) = run(job, Tally()).files
     monkeypatch.setattr(
         "services.experiments.laps.asking.learn",
-        partial(learn, config=MapConfig(sampled_views=500)),
+        partial(learn, config=MapConfig(sampled_views=250)),
     )
     for module in ("source", "asking"):
         monkeypatch.setattr(f"services.experiments.laps.{module}.JUDGED", COLOR)

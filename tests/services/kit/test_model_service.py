@@ -1,7 +1,5 @@
 """Recognition and policy load models by name, keep the old one when a load is refused, and never mix two."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -145,24 +143,6 @@ def test_recognition_keeps_its_window_after_a_refused_load(
     assert recognition.detail() == before
     answer = recognition.handle(observation(LENGTH - 1, place=5 + LENGTH))
     assert (answer.status, answer.state) == ("recognized", 2)
-
-
-def test_services_with_a_map_load_nothing_of_the_paper(tmp_path: Path) -> None:
-    program = (
-        "import sys\n"
-        "from pathlib import Path\n"
-        "from services.kit.model_service import LoadedModel\n"
-        "from services.policy.service import PolicyService\n"
-        "from services.recognition.service import RecognitionService\n"
-        "for service in (RecognitionService(), PolicyService()):\n"
-        "    service.load(LoadedModel.read(Path(sys.argv[1])))\n"
-        "print([name for name in ('smal.paper.recognition', 'smal.paper.state_matching') if name in sys.modules])"
-    )
-    mapped = corridor.save_model(tmp_path / "mapped.smal")
-    done = subprocess.run(
-        [sys.executable, "-c", program, mapped], capture_output=True, text=True, check=True
-    )
-    assert done.stdout == "[]\n"
 
 
 def test_states_name_the_model_that_they_are_of(
