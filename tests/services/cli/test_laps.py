@@ -102,12 +102,8 @@ def test_laps_page_shows_recognition_when_one_lap_teaches(
     assert found["laps"] == len(LAPS) - 1
     methods = found["methods"]
     assert set(methods) == {
-        "SMAL",
-        "SMAL without odometry",
-        "nearest 1",
-        "nearest 5",
-        "teach and repeat",
-    }
+        "SMAL", "SMAL without odometry", "nearest 1", "nearest 5", "teach and repeat",
+    }  # fmt: skip
     assert (
         min(methods[name]["right within a tenth"] for name in ("SMAL", "nearest 1", "nearest 5"))
         > 0.9

@@ -139,13 +139,8 @@ def test_depth_is_read_from_its_own_folders(folders: Path, smal: Smal) -> None:
                 f"{name}/{file}", np.full((48, 64, 3), 99, np.uint8)
             )  # nothing to see but depth
     arguments = (
-        "--modalities",
-        "depth",
-        "--reference-depth",
-        "ref-depth",
-        "--query-depth",
-        "query-depth",
-    )
+        "--modalities", "depth", "--reference-depth", "ref-depth", "--query-depth", "query-depth",
+    )  # fmt: skip
     assert references_of(matched(smal, *arguments, "--length", "1")) == list(range(FRAMES))
 
 

@@ -16,13 +16,9 @@ def scheduler_and_worker(keys: Path, folder: Path) -> Iterator[str]:
     """Start them; yield the scheduler's address."""
     certificate = str(keys / "engine.pem")
     tls = [
-        "--tls-ca-file",
-        certificate,
-        "--tls-cert",
-        certificate,
-        "--tls-key",
+        "--tls-ca-file", certificate, "--tls-cert", certificate, "--tls-key",
         str(keys / "engine.key"),
-    ]
+    ]  # fmt: skip
     here = ["--host", "127.0.0.1", "--protocol", "tls", *tls]
 
     def start(*arguments: str) -> "subprocess.Popen[str]":

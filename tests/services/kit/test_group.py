@@ -252,15 +252,9 @@ def test_robots_keep_their_belief_when_an_instance_is_killed(
     flags = ["--root", str(model.parent)]
     start(stack, "recognition", router_endpoint, MANY, *flags)
     command = [
-        sys.executable,
-        "-m",
-        "services.recognition",
-        "--router",
-        router_endpoint,
-        "--robots",
-        str(MANY),
-        *flags,
-    ]
+        sys.executable, "-m", "services.recognition", "--router", router_endpoint, "--robots",
+        str(MANY), *flags,
+    ]  # fmt: skip
     first = stack.enter_context(subprocess.Popen(command))
     stack.callback(first.kill)
     served = robots.served_by("recognition", 2)

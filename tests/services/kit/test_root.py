@@ -180,17 +180,9 @@ def test_recorder_writes_only_below_its_root(client: Bus, root: Path) -> None:
     (root / "file").touch()
     os.mkfifo(root / "fifo")
     for name in (
-        "out",
-        "out/deeper",
-        "dangling",
-        "up/elsewhere",
-        "null",
-        "null/x",
-        "loop",
-        "file",
-        "file/x",
+        "out", "out/deeper", "dangling", "up/elsewhere", "null", "null/x", "loop", "file", "file/x",
         "fifo",
-    ):
+    ):  # fmt: skip
         line = refusal(lambda name=name: start(client, name))
         assert line == f"cannot record in '{name}' below the root of the recorder"
     lines = {

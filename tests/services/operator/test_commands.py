@@ -47,15 +47,11 @@ def applied(
 def event(name: str, episode: str = "e", outcome: str | None = None) -> Episode:
     return Episode.model_validate(
         {
-            "robot": "r",
-            "episode": episode,
-            "tick": 0,
-            "stamp_ns": 0,
-            "event": name,
+            "robot": "r", "episode": episode, "tick": 0, "stamp_ns": 0, "event": name,
             "purpose": "drive",
         }
         | {"driver": "teleop", "world": "yard", "seed": 1, "outcome": outcome}
-    )
+    )  # fmt: skip
 
 
 def brief(command: Command | None) -> tuple[str, str, int, int] | None:

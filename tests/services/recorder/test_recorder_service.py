@@ -188,14 +188,9 @@ def test_a_full_disk_ends_the_file_and_not_the_recorder(
 @pytest.fixture
 def process(router_endpoint: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     command = [
-        sys.executable,
-        "-m",
-        "services.recorder",
-        "--router",
-        router_endpoint,
-        "--recordings",
+        sys.executable, "-m", "services.recorder", "--router", router_endpoint, "--recordings",
         str(tmp_path),
-    ]
+    ]  # fmt: skip
     child = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     yield child
     child.kill()

@@ -49,12 +49,8 @@ def test_info_lists_contents_of_a_recording(tmp_path: Path) -> None:
     assert (contents.state, contents.size, contents.findings) == ("sealed", path.stat().st_size, [])
     assert (one.robot, one.episode) == ("teacher", "drive-corridor")
     assert one.said == {
-        "world": "corridor",
-        "seed": 0,
-        "purpose": "drive",
-        "goal": "end",
-        "driver": "teleop",
-    }
+        "world": "corridor", "seed": 0, "purpose": "drive", "goal": "end", "driver": "teleop",
+    }  # fmt: skip
     assert (one.outcome, one.judge) == ("found", "operator")
     assert one.drove == {"teleop": 30}
     assert (one.frames, one.seconds) == (30, pytest.approx(2.914))
@@ -64,14 +60,10 @@ def test_info_lists_contents_of_a_recording(tmp_path: Path) -> None:
     counts = {name: topic.messages for name, topic in one.topics.items()}
     assert counts == Counter(
         {
-            "camera/jpeg": 30,
-            "odometry": 30,
-            "command/applied": 30,
-            "command/teleop": 30,
-            "camera/info": 1,
-            "episode": 2,
+            "camera/jpeg": 30, "odometry": 30, "command/applied": 30, "command/teleop": 30,
+            "camera/info": 1, "episode": 2,
         }
-    )
+    )  # fmt: skip
     assert one.topics["odometry"].rate_hz == pytest.approx(29 / 2.914)
 
 

@@ -239,18 +239,14 @@ def test_a_stack_without_a_robot_answers_a_replay(
     up = subprocess.Popen(
         [
             *(
-                sys.executable,
-                "-c",
-                "from services.cli.main import main; main()",
-                "up",
-                "--robot-body",
-                "none",
+                sys.executable, "-c", "from services.cli.main import main; main()", "up",
+                "--robot-body", "none",
             ),
             *("--console", "none", "--model", model, "--router", free_endpoint),
         ],
         stderr=subprocess.PIPE,
         text=True,
-    )
+    )  # fmt: skip
     try:
         assert any("ready: robot rescuebot without a robot" in line for line in up.stderr)
         with closing(Bus(ROBOT, free_endpoint)) as bus:

@@ -44,13 +44,8 @@ def test_so_many_frames_a_second_whether_commanded_or_not(frames_hz: float, many
     runner.frame_s = 1.0 / frames_hz
     first = reset(runner, mode="realtime")
     assert [type(m) for m in first] == [
-        Episode,
-        CameraInfo,
-        Odometry,
-        Imu,
-        TruePose,
-        CompressedImage,
-    ]
+        Episode, CameraInfo, Odometry, Imu, TruePose, CompressedImage,
+    ]  # fmt: skip
     images = [m for m in advance(runner, clock, 2.0) if isinstance(m, CompressedImage)]
     assert len(images) in many
 

@@ -23,13 +23,8 @@ def test_it_waits_for_each_answer_and_moves_exactly_one_tick() -> None:
     body = LineBody(clock)
     runner, messages = begin(body)
     assert [type(m) for m in messages] == [
-        Episode,
-        CameraInfo,
-        Odometry,
-        Imu,
-        TruePose,
-        CompressedImage,
-    ]
+        Episode, CameraInfo, Odometry, Imu, TruePose, CompressedImage,
+    ]  # fmt: skip
     (info,) = (m for m in messages if isinstance(m, CameraInfo))
     assert (info.width, info.height, info.centre_x_px, info.centre_y_px) == (32, 24, 16.0, 12.0)
     assert camera_of(info) == LineBody.camera
