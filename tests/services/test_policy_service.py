@@ -1,6 +1,5 @@
 """The policy by the filter, its handler alone: a belief in, an action and a command out."""
 
-import itertools
 from pathlib import Path
 
 import pytest
@@ -96,15 +95,6 @@ def test_how_long_its_commands_take_is_heard_from_the_actuator(model: Path) -> N
         command = service.handle(belief(13, model, turned_rad=-0.07))[1]
         turns[delay_ms] = command.angular
     assert turns[0] > turns[60]
-
-
-def test_a_lost_robot_looks_all_round_and_then_guesses(policy: PolicyService, model: Path) -> None:
-    kinds = [made(policy.handle(belief(tick, model, lost=0.9)))[0] for tick in range(200)]
-    assert [kind for kind, _ in itertools.groupby(kinds)][:3] == [
-        "look_around",
-        "guess",
-        "look_around",
-    ]
 
 
 def test_repeated_state_has_the_same_answer(policy: PolicyService, model: Path) -> None:

@@ -13,7 +13,6 @@ from schemas.state import State
 from services.kit.model_service import LoadedModel
 from services.kit.node import ServiceError
 from services.recognition.service import RecognitionService
-from smal.features import extract
 from smal.obstacles.strange import Ground
 from smal.sought.score import SCORES
 from smal.sought.word import Word
@@ -22,7 +21,6 @@ from tests.places import estimate
 from tests.services.chain import (
     identity,
     observation,
-    picture,
     save_model,
     seen,
     wheels,
@@ -66,16 +64,6 @@ def test_renewed_map_keeps_the_belief(service: RecognitionService, tmp_path: Pat
     state = service.handle(seen(8))
     assert (state.model, state.tracked_m) == (identity(renewed), pytest.approx(1.6, abs=0.05))
     assert estimate(state) == pytest.approx((1.6, 0.0), abs=0.1)
-
-
-def test_a_view_of_nowhere_is_unknown(service: RecognitionService) -> None:
-    for tick in range(8):
-        service.see(wheels(tick))
-        features = Float32Array.from_numpy(extract(picture(tick), corridor.FEATURES))
-        state = service.handle(seen(tick).model_copy(update={"features": features}))
-    assert state.status == "unknown"
-    assert state.lost > 0.5
-    assert len(state.keyframes)
 
 
 Box = tuple[float, float, float, float]

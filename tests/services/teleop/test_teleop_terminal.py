@@ -140,8 +140,17 @@ def test_hold_to_drive_release_to_stop(console: Console, robot: Robot) -> None:
     eventually(lambda: robot.atoms()[-1:] == ["stop"])
 
 
-def test_letting_go_stops_at_once(told: Console, robot: Robot) -> None:
+def test_keys_bend_and_stop_at_once_when_releases_are_reported(told: Console, robot: Robot) -> None:
     begin(told, robot)
+    for typed, velocity in (
+        (W_PRESSED + A_PRESSED, (1.0, 1.0)),
+        (A_RELEASED, (1.0, 0.0)),
+        (W_RELEASED, (0.0, 0.0)),
+    ):
+        told.type(typed)
+        eventually(
+            lambda wanted=velocity: robot.commands and robot.commands[-1][1].velocity == wanted
+        )
 
     def stops_at_once() -> bool:
         driven = len(robot.commands)
@@ -153,19 +162,6 @@ def test_letting_go_stops_at_once(told: Console, robot: Robot) -> None:
         return robot.commands[-1][0] - let_go_s < HOLD_S / 4
 
     eventually(stops_at_once)
-
-
-def test_two_keys_drive_a_bend_when_releases_are_reported(told: Console, robot: Robot) -> None:
-    begin(told, robot)
-    for typed, velocity in (
-        (W_PRESSED + A_PRESSED, (1.0, 1.0)),
-        (A_RELEASED, (1.0, 0.0)),
-        (W_RELEASED, (0.0, 0.0)),
-    ):
-        told.type(typed)
-        eventually(
-            lambda wanted=velocity: robot.commands and robot.commands[-1][1].velocity == wanted
-        )
 
 
 def test_emergency_stop_holds_until_a_new_episode_is_asked_for(
