@@ -167,13 +167,8 @@ def test_library_deletes_only_listed_recordings(
     eventually(lambda: page.state.get("library", {}).get("recordings"))
     page.take()
     eventually(lambda: page.beats)
-    for name in (
-        "other/drive-1.mcap",
-        "../drives/drive-2.mcap",
-        "drives/../other/drive-1.mcap",
-        str(kept),
-        "",
-    ):
+    away = ("other/drive-1.mcap", "../drives/drive-2.mcap", "drives/../other/drive-1.mcap")
+    for name in (*away, str(kept), ""):
         page.say(do="delete", recording=name)
     page.say(do="delete", recording="drives/drive-2.mcap")
     eventually(lambda: not page.state["library"]["recordings"])
@@ -214,11 +209,8 @@ def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
     assert loaded[:2] == [("policy", wanted), ("recognition", wanted)]
     page.insist(lambda: page.state["library"]["recordings"], do="end", found=True)
     (recording,) = page.state["library"]["recordings"]
-    assert (recording["purpose"], recording["goal"], recording["outcome"]) == (
-        "run",
-        "victim",
-        "found",
-    )
+    facts = [recording[name] for name in ("purpose", "goal", "outcome")]
+    assert facts == ["run", "victim", "found"]
 
 
 def test_a_belief_is_not_drawn_when_its_places_are_unknown() -> None:

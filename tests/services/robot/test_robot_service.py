@@ -13,7 +13,7 @@ from schemas.codec import encode, encoding_of
 from schemas.command import Command
 from schemas.heartbeat import Pulse
 from schemas.rpc import ArmRequest, CancelRequest, Nothing, ResetReply, ResetRequest
-from schemas.topics import APPLIED, COMMANDS, HEARTBEAT, PULSE
+from schemas.topics import COMMANDS, HEARTBEAT, PULSE
 from services.kit.bus import Bus, RpcError
 from services.kit.going_on import each
 from services.kit.node import Node, ServiceError
@@ -30,9 +30,9 @@ from services.robot.task import OperatorsTask
 from tests.benchmarks.faults.proxy import link
 from tests.services.conftest import RunNode
 from tests.services.kit.test_refusals import stranger
-from tests.services.operator.test_operator import RUN
+from tests.services.operator.test_operator import RUN, asked
 from tests.services.robot.line import LineBody
-from tests.services.robot.wheels import Wheels, run_robot
+from tests.services.robot.wheels import Policy, Wheels, run_robot
 from tests.services.waiting import Lost, eventually, ready, status_of
 
 
@@ -41,28 +41,15 @@ def test_operator_is_lost_when_the_link_grows_slow(
     settings: ServiceSettings, router_endpoint: str, run_node: RunNode, client: Bus, lost_s: Lost
 ) -> None:
     robot = run_robot(settings, run_node, attended=True)
-    policy = Node("policy", settings)
-    policy.subscribe(
-        APPLIED, lambda applied: Command.after(applied, source="policy", atom="forward")
-    )
-    run_node(policy)
+    Policy(settings, run_node)
     with link(router_endpoint) as way:
         far = settings.model_copy(update={"router": way.address})
         with Node("teleop", far) as node:
             operator = Operator(node, (said := []).append)
             node.every(POLL_S, operator.poll)
 
-            def drives() -> bool:
-                """Ask again where a busy machine missed the operator for a moment."""
-                if (
-                    operator.mine is None
-                    and not operator.asking
-                    and operator.commands.to_release is not None
-                ):
-                    operator.begin(RUN)
-                return robot.wheels.driven
-
-            assert node.spin(drives, 100.0), said
+            assert node.spin(lambda: operator.commands.to_release is not None, 100.0)
+            assert node.spin(asked(operator, RUN, lambda: robot.wheels.driven), 100.0), said
             os.kill(way.pid, signal.SIGUSR1)
             node.spin(timeout_s=3.0)  # then the link takes 1.5 s each way
             dead_s = time.monotonic()
