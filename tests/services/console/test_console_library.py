@@ -54,12 +54,8 @@ def test_library_lists_outcome_length_and_pictures(
     listed = library.look()
     (shown,) = listed["recordings"]
     assert shown["name"] == "drives/drive-1.mcap"
-    assert (shown["outcome"], shown["frames"], shown["thumbnails"], shown["useless"]) == (
-        "found",
-        12,
-        6,
-        "",
-    )
+    facts = [shown[name] for name in ("outcome", "frames", "thumbnails", "useless")]
+    assert facts == ["found", 12, 6, ""]
     assert shown["seconds"] == pytest.approx(1.1)
     (recording,) = library.recordings()
     assert all(picture.startswith(b"\xff\xd8") for picture in recording.thumbnails)

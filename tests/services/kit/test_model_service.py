@@ -98,11 +98,8 @@ def test_the_loaded_model_is_told(
     reply = service.load(LoadedModel.read(model, "paper", stride))
     assert reply == LoadReply(scheme="paper", states=6, stride=got)
     detail = service.detail()
-    assert (detail["model"], detail["checksum"], detail["scheme"]) == (
-        str(model),
-        identity(model),
-        "paper",
-    )
+    facts = [detail[name] for name in ("model", "checksum", "scheme")]
+    assert facts == [str(model), identity(model), "paper"]
 
 
 @pytest.mark.parametrize("cls", SERVICES)

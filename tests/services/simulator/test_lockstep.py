@@ -102,11 +102,8 @@ def test_stopped_robot_stands_and_renders_nothing() -> None:
     runner, _ = begin(body)
     runner.gate.stop()
     (applied,) = runner.poll()
-    assert (applied.reason, applied.answered_tick, applied.latency_ns) == (
-        "emergency_stop",
-        None,
-        None,
-    )
+    facts = (applied.reason, applied.answered_tick, applied.latency_ns)
+    assert facts == ("emergency_stop", None, None)
     for _ in range(20):
         assert answer(runner) == []
     assert not list(runner.poll())
