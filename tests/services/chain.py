@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from schemas.motion import Odometry
 from schemas.observation import Observation
 from schemas.state import State
 from services.kit.jpeg import decode_jpeg, encode_jpeg
+from services.kit.model_service import LoadedModel
 from services.table import SERVICES
 from smal.features import FeatureSettings, extract
 from smal.movement import Atom
@@ -93,6 +95,12 @@ def state(tick: int, model: Path | None, episode: str = "e", **fields: object) -
     header = Message(robot="rescuebot", episode=episode, tick=tick, stamp_ns=tick * 100_000_000)
     named = {"status": "idle"} if model is None else {"model": identity(model)}
     return State.after(header, **named, **fields)
+
+
+def with_model(service: Any, model: Path) -> Any:
+    """Have a service load a model; return the service."""
+    service.load(LoadedModel.read(model))
+    return service
 
 
 def command(tick: int, robot: str = "rescuebot", source: str = "teleop") -> Command:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -10,7 +10,7 @@ import zenoh
 
 from services.cli import certificates
 from services.kit.bus import Router
-from services.kit.credentials import Certificate, Credentials, credentials_in
+from services.kit.credentials import Credentials, credentials_in
 from services.kit.zenoh_session import settings_of
 
 ROBOT: Final = "rescuebot"
@@ -44,18 +44,3 @@ def secured_router(endpoint: str, keys: Path) -> Iterator[zenoh.Session]:
     credentials = credentials_in(keys, "router")
     with closing(Router(endpoint, credentials, ROBOT)) as router:
         yield router._session
-
-
-@contextmanager
-def sessions(endpoint: str, keys: Path, roles: list[str]) -> Iterator[dict[str, zenoh.Session]]:
-    """Open a session of each role."""
-    with ExitStack() as stack:
-        yield {
-            role: stack.enter_context(closing(open_session(endpoint, credentials_in(keys, role))))
-            for role in roles
-        }
-
-
-def certificate_in(keys: Path, role: str) -> Certificate:
-    """Return the certificate of a role."""
-    return credentials_in(keys, role)

@@ -144,9 +144,6 @@ def test_the_routers_know_each_other_and_all_know_both(objects: list[Object]) ->
     assert service["spec"]["selector"] == routers["spec"]["selector"]["matchLabels"]
 
 
-# -- who reaches whom ------------------------------------------------------------------------------------------------
-
-
 def test_the_policies_are_made_of_the_table() -> None:
     made = runpy.run_path(str(KUBERNETES / "policies.py"))["as_yaml"]()
     assert (KUBERNETES / "base" / "network.yaml").read_text() == made, (

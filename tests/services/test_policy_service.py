@@ -1,19 +1,17 @@
 """The policy by the filter, its handler alone: a belief in, an action and a command out."""
 
-import itertools
 from pathlib import Path
 
 import pytest
 
-from schemas.action import Action
 from schemas.base import Message
-from schemas.command import Command, CommandApplied
+from schemas.command import CommandApplied
 from schemas.state import State
 from services.kit.model_service import LoadedModel
 from services.policy.service import PolicyService
 from tests import corridor
 from tests.places import places
-from tests.services.chain import state
+from tests.services.chain import state, with_model
 
 
 @pytest.fixture(scope="module")
@@ -25,9 +23,7 @@ def papers_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def policy(model: Path) -> PolicyService:
-    service = PolicyService()
-    service.load(LoadedModel.read(model))
-    return service
+    return with_model(PolicyService(), model)
 
 
 def belief(tick: int, model: Path, keyframe: int = 5, turned_rad: float = 0.0, lost: float = 0.0,
@@ -48,8 +44,6 @@ def belief(tick: int, model: Path, keyframe: int = 5, turned_rad: float = 0.0, l
 def made(answer: list[Message]) -> tuple[str, int | None, str]:
     """Return kind and state of the decision, and the atom of the command, which are all that was said."""
     action, command = answer
-    assert isinstance(action, Action)
-    assert isinstance(command, Command)
     assert (action.atoms, command.source, command.tick) == ((command.atom,), "policy", action.tick)
     return action.kind, action.state, command.atom
 
@@ -82,8 +76,7 @@ def test_a_belief_becomes_an_action_and_a_command(
 def test_how_long_its_commands_take_is_heard_from_the_actuator(model: Path) -> None:
     turns = {}
     for delay_ms in (0, 60):
-        service = PolicyService()
-        service.load(LoadedModel.read(model))
+        service = with_model(PolicyService(), model)
         for tick in range(12):
             told = {
                 "atom": "left",
@@ -100,34 +93,14 @@ def test_how_long_its_commands_take_is_heard_from_the_actuator(model: Path) -> N
                 )
         service.handle(belief(12, model, turned_rad=-0.15))
         command = service.handle(belief(13, model, turned_rad=-0.07))[1]
-        assert isinstance(command, Command)
         turns[delay_ms] = command.angular
     assert turns[0] > turns[60]
-
-
-def test_a_lost_robot_looks_all_round_and_then_guesses(policy: PolicyService, model: Path) -> None:
-    kinds = [made(policy.handle(belief(tick, model, lost=0.9)))[0] for tick in range(200)]
-    assert [kind for kind, _ in itertools.groupby(kinds)][:3] == [
-        "look_around",
-        "guess",
-        "look_around",
-    ]
 
 
 def test_repeated_state_has_the_same_answer(policy: PolicyService, model: Path) -> None:
     answer = policy.handle(belief(0, model, lost=0.9))
     assert all(policy.handle(belief(0, model, lost=0.9)) == answer for _ in range(500))
     assert made(policy.handle(belief(1, model, lost=0.9)))[0] == "look_around"
-
-
-@pytest.mark.parametrize("status", ["recognized", "unknown", "collecting"])
-def test_policy_stops_when_a_state_has_no_such_place(
-    policy: PolicyService, model: Path, status: str
-) -> None:
-    beyond = places((len(corridor.model().mapped.keyframes), 0.0, 0.0, 0.0, 1.0))
-    (command,) = policy.handle(state(0, model, status=status, places=beyond))
-    assert isinstance(command, Command)
-    assert command.atom == "stop"
 
 
 def test_a_new_episode_starts_afresh(policy: PolicyService, model: Path) -> None:
@@ -143,7 +116,6 @@ def test_no_robot_stands_between_two_maps(
 ) -> None:
     def atom(tick: int, of: Path) -> str:
         command = policy.handle(belief(tick, of))[-1]
-        assert isinstance(command, Command)
         return command.atom
 
     renewed = corridor.save_renewed(tmp_path / "renewed.smal")
@@ -161,22 +133,18 @@ def test_no_robot_stands_between_two_maps(
 def test_it_stops_for_a_state_of_another_scheme(
     policy: PolicyService, model: Path, papers_model: Path, fields: dict[str, object]
 ) -> None:
-    papers = PolicyService()
-    papers.load(LoadedModel.read(papers_model))
+    papers = with_model(PolicyService(), papers_model)
     for service, theirs in ((policy, state(0, model, **fields)), (papers, belief(0, papers_model))):
         (command,) = service.handle(theirs)
-        assert isinstance(command, Command)
         assert command.atom == "stop"
 
 
 def test_it_stops_for_a_place_that_its_model_does_not_have(
     policy: PolicyService, model: Path, papers_model: Path
 ) -> None:
-    papers = PolicyService()
-    papers.load(LoadedModel.read(papers_model))
+    papers = with_model(PolicyService(), papers_model)
     beyond = state(0, papers_model, status="recognized", state=1_000_000)
     for service, wrong in ((policy, belief(0, model, keyframe=1_000_000)), (papers, beyond)):
         (command,) = service.handle(wrong)
-        assert isinstance(command, Command)
         assert command.atom == "stop"
     assert made(policy.handle(belief(1, model)))[2] == "forward"

@@ -13,21 +13,25 @@ from schemas.state import State
 from services.kit.model_service import LoadedModel
 from services.kit.node import ServiceError
 from services.recognition.service import RecognitionService
-from smal.features import extract
 from smal.obstacles.strange import Ground
 from smal.sought.score import SCORES
 from smal.sought.word import Word
 from tests import corridor
 from tests.places import estimate
-from tests.services.chain import identity, observation, picture, save_model, seen, wheels
+from tests.services.chain import (
+    identity,
+    observation,
+    save_model,
+    seen,
+    wheels,
+    with_model,
+)
 from tests.services.recordings.recorded_messages import applied
 
 
 @pytest.fixture
 def service(model: Path) -> RecognitionService:
-    made = RecognitionService()
-    made.load(LoadedModel.read(model))
-    return made
+    return with_model(RecognitionService(), model)
 
 
 def at(
@@ -35,9 +39,7 @@ def at(
 ) -> State:
     """Give a frame and its odometry; return the state."""
     assert service.see(wheels(tick, pose, episode)) is None
-    state = service.handle(seen(tick, pose, episode))
-    assert state is not None
-    return state
+    return service.handle(seen(tick, pose, episode))
 
 
 def test_a_state_is_a_belief_over_places(service: RecognitionService, model: Path) -> None:
@@ -64,28 +66,29 @@ def test_renewed_map_keeps_the_belief(service: RecognitionService, tmp_path: Pat
     assert estimate(state) == pytest.approx((1.6, 0.0), abs=0.1)
 
 
-def test_a_view_of_nowhere_is_unknown(service: RecognitionService) -> None:
-    for tick in range(8):
-        service.see(wheels(tick))
-        features = Float32Array.from_numpy(extract(picture(tick), corridor.FEATURES))
-        state = service.handle(seen(tick).model_copy(update={"features": features}))
-    assert state.status == "unknown"
-    assert state.lost > 0.5
-    assert len(state.keyframes)
+Box = tuple[float, float, float, float]
 
 
-def test_detected_target_is_seen(tmp_path: Path) -> None:
+@pytest.fixture
+def detecting(tmp_path: Path) -> RecognitionService:
+    """Give recognition whose target wears a tag."""
     tells = Word("apriltag 7", 0.04, np.where(SCORES < 0.5, -2.0, 9.0))
     replace(corridor.model(), words={"victim": tells}).save(tmp_path / "way.smal")
-    service = RecognitionService()
-    box = (0.3, 0.4, 0.5, 0.6)
-    service.load(LoadedModel.read(tmp_path / "way.smal"))
+    return with_model(RecognitionService(), tmp_path / "way.smal")
+
+
+def detected(box: Box, label: str = "apriltag 7") -> dict[str, object]:
+    """Return the changes of an observation in which a tag is seen."""
     picture = np.random.default_rng(0).integers(0, 256, 14_400, dtype=np.uint8).tobytes()
+    return {"picture": picture, "detected": (Detected(label=label, score=1.0, box=box),)}
+
+
+def test_detected_target_is_seen(detecting: RecognitionService) -> None:
     for label, found in (("apriltag 8", 0.0), ("apriltag 7", 1.0)):
         for tick in range(20):
-            service.see(wheels(tick, episode=label[-1]))
-            update = {"picture": picture, "detected": (Detected(label=label, score=1.0, box=box),)}
-            state = service.handle(seen(tick, episode=label[-1]).model_copy(update=update))
+            detecting.see(wheels(tick, episode=label[-1]))
+            update = detected((0.3, 0.4, 0.5, 0.6), label)
+            state = detecting.handle(seen(tick, episode=label[-1]).model_copy(update=update))
         assert state.seen == pytest.approx(found, abs=0.05)
     assert (state.near, state.seen_left) == (pytest.approx(1.0), pytest.approx(0.1))
 
@@ -115,8 +118,7 @@ def test_unexpected_ground_is_reported_when_it_is_watched(
 def test_odometry_may_come_before_its_observation_or_after_it(
     service: RecognitionService, model: Path
 ) -> None:
-    other = RecognitionService()
-    other.load(LoadedModel.read(model))
+    other = with_model(RecognitionService(), model)
     for tick in range(5):
         expected = at(service, tick)
         assert other.handle(seen(tick)) is None
@@ -153,8 +155,7 @@ def test_recognition_goes_on_without_odometry_on_a_resent_frame(
 def test_recognition_uses_commands_when_taught_without_odometry(tmp_path: Path) -> None:
     path = tmp_path / "unmeasured.smal"
     corridor.model(odometry=False).save(path)
-    service = RecognitionService()
-    service.load(LoadedModel.read(path))
+    service = with_model(RecognitionService(), path)
     for tick in range(9):
         # Two commands in one frame: the last one counts. Odometry is in metres, and does not.
         for sequence, atom in ((1, "forward"), (0, "stop")):
@@ -219,17 +220,10 @@ def test_recognition_answers_when_the_odometry_jumps_far(service: RecognitionSer
     "box", [(0.5, 0.5, 0.4, 0.6), (1.4, 0.0, 1.5, 1.0), (-0.5, -0.5, -0.4, 1.5)]
 )
 def test_recognition_answers_when_a_box_is_impossible(
-    tmp_path: Path, box: tuple[float, float, float, float]
+    detecting: RecognitionService, box: Box
 ) -> None:
-    tells = Word("apriltag 7", 0.04, np.where(SCORES < 0.5, -2.0, 9.0))
-    replace(corridor.model(), words={"victim": tells}).save(tmp_path / "way.smal")
-    service = RecognitionService()
-    service.load(LoadedModel.read(tmp_path / "way.smal"))
-    service.see(wheels(0))
-    picture = np.random.default_rng(0).integers(0, 256, 14_400, dtype=np.uint8).tobytes()
-    detected = (Detected(label="apriltag 7", score=1.0, box=box),)
-    state = service.handle(seen(0).model_copy(update={"picture": picture, "detected": detected}))
-    assert state is not None
+    detecting.see(wheels(0))
+    assert detecting.handle(seen(0).model_copy(update=detected(box))) is not None
 
 
 @pytest.mark.parametrize(

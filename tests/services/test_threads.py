@@ -1,13 +1,16 @@
-"""Threads of the numerical libraries in a process, and the heaps of all its threads."""
+"""Threads and memory of a process: few threads, few heaps, freed memory is given back."""
 
 import os
 import subprocess
 import sys
+from typing import Final
 from xml.etree import ElementTree
 
+import psutil
 import pytest
 
 from services.cli.stack import free_endpoint
+from services.kit.memory import give_back
 
 _PROGRAM = "import services, numpy, os; a = numpy.ones((600, 600)); a @ a; print(len(os.listdir('/proc/self/task')))"
 
@@ -41,3 +44,20 @@ def test_threads_share_one_heap_per_core() -> None:
     told = subprocess.check_output([sys.executable, "-c", _HEAPS, free_endpoint()])
     heaps = ElementTree.fromstring(told).findall("heap")  # noqa: S314 - our own process's
     assert 1 <= len(heaps) <= (os.cpu_count() or 1) + 1
+
+
+_BLOCK: Final = 100_000  # Bytes; smaller than what the system gives singly, and takes back at once.
+_BLOCKS: Final = 500
+
+
+def _held() -> int:
+    return int(psutil.Process().memory_info().rss)
+
+
+def test_freed_memory_is_given_back() -> None:
+    blocks = [bytes([1]) * _BLOCK for _ in range(_BLOCKS)]
+    pins = blocks[::50]
+    before = _held()
+    blocks.clear()
+    give_back()
+    assert before - _held() > 0.8 * _BLOCK * (_BLOCKS - len(pins))

@@ -30,7 +30,6 @@ def smal(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> 
         with pytest.raises(SystemExit) as ended:
             main()
         out, err = capfd.readouterr()
-        assert isinstance(ended.value.code, int)
         return ended.value.code, out, err
 
     return run
@@ -61,8 +60,6 @@ class Listening:
             stderr=subprocess.PIPE,
             text=True,
         )
-        assert self.process.stdout is not None
-        assert self.process.stderr is not None
         os.set_blocking(self.process.stdout.fileno(), False)
 
     def lines_until(self, count: int, *messages: Message) -> list[str]:
@@ -72,7 +69,6 @@ class Listening:
         def enough() -> bool:
             for message in messages:
                 self._client.publish(message)
-            assert self.process.stdout is not None
             printed.extend(self.process.stdout.readlines())
             return len(printed) >= count
 
@@ -81,7 +77,6 @@ class Listening:
 
     def end(self) -> tuple[int, str, str]:
         """Press Ctrl-C; returns exit status, what was not yet read of the output, and the errors."""
-        assert self.process.stdout is not None
         os.set_blocking(self.process.stdout.fileno(), True)
         self.process.send_signal(signal.SIGINT)
         out, err = self.process.communicate(timeout=100.0)

@@ -1,7 +1,11 @@
-"""``smal learn --add`` and ``smal model back``: a model learns from its runs, and may go back."""
+"""A model learns from its runs, goes back, and stays whole on a full disk."""
 
+import errno
 import json
-from collections.abc import Iterator
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +17,7 @@ from services.kit.cameras import camera_info
 from smal.camera import Camera
 from smal.model import Model
 from tests import corridor
-from tests.services.cli.conftest import Mistake, Smal
+from tests.services.cli.conftest import ROOT, Mistake, Smal
 from tests.services.recordings.recorded_messages import applied, event, header, seen
 from tests.services.recordings.test_recorder_files import record
 
@@ -34,11 +38,11 @@ def run(
     yield end.model_copy(update={"goal": goal})
 
 
-def recorded(folder: Path, many: int, scale: int = 1, rows: int | None = None) -> Path:
+def recorded(folder: Path, many: int, new: float = 0.6, **size: int) -> Path:
     """Make a folder of recorded runs."""
     folder.mkdir()
     for number in range(many):
-        record(folder, list(run(f"run-{number}", 0.6, scale=scale, rows=rows)))
+        record(folder, list(run(f"run-{number}", new, **size)))
     return folder
 
 
@@ -50,10 +54,14 @@ def runs(tmp_path: Path) -> Path:
 def test_a_model_learns_from_runs_and_goes_back(runs: Path, tmp_path: Path, smal: Smal) -> None:
     file = corridor.save_model(tmp_path / "way.smal")
     report = tmp_path / "report.json"
+    for number, one in enumerate([*runs.iterdir()] * 1000):
+        (runs / f"link-{number}.mcap").symlink_to(one)
+        (runs / f"name-{number}.mcap").hardlink_to(one)
     before = file.read_bytes()
     status, out, err = smal("learn", runs, "--add", "--out", file, "--json", report)
     assert status == 0, err
     assert "map extended with new view variants" in err
+    assert "is left out" not in err, "each file is read once"
     said = json.loads(report.read_text())
     assert (said["taken"], said["runs"], said["judged_by"]) == (True, 4, 2)
     assert len(Model.load(file).mapped.looks) == said["looks"] > 0
@@ -85,26 +93,9 @@ def test_model_stays_when_runs_have_images_of_another_shape(tmp_path: Path, smal
     assert file.read_bytes() == before
 
 
-def test_model_learns_each_file_once_when_links_lead_to_it(
-    runs: Path, tmp_path: Path, smal: Smal
-) -> None:
-    file = corridor.save_model(tmp_path / "way.smal")
-    report = tmp_path / "report.json"
-    for number, one in enumerate([*runs.iterdir()] * 1000):
-        (runs / f"link-{number}.mcap").symlink_to(one)
-        (runs / f"name-{number}.mcap").hardlink_to(one)
-    status, _, err = smal("learn", runs, "--add", "--out", file, "--json", report)
-    assert status == 0, err
-    assert json.loads(report.read_text())["runs"] == 4
-    assert "is left out" not in err
-
-
 def test_model_is_unchanged_when_a_drive_adds_no_surprise(tmp_path: Path, smal: Smal) -> None:
     file = corridor.save_model(tmp_path / "way.smal")
-    folder = tmp_path / "runs"
-    folder.mkdir()
-    for number in range(2):
-        record(folder, list(run(f"run-{number}", 0.0)))
+    folder = recorded(tmp_path / "runs", 2, new=0.0)
     before = file.read_bytes()
     status, _, err = smal("learn", folder, "--add", "--out", file)
     assert (status, "no unexpected view" in err) == (0, True)
@@ -155,3 +146,71 @@ def test_add_reports_model_that_cannot_learn_more(
     corridor.paper_model().save(file)
     assert "cannot learn from runs" in mistake(2, "learn", runs, "--add", "--out", file)
     assert "earlier version not found" in mistake(2, "model", "back", file)
+
+
+_LIMITED = """
+import resource, signal
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, ({most}, {most}))
+from services.cli.main import main
+main()
+"""
+
+
+def limited(most: int, *arguments: object) -> tuple[int, Sequence[str]]:
+    """Run a command whose files may have so many bytes; return its status, and what it printed on standard error."""
+    command = [sys.executable, "-c", _LIMITED.format(most=most), *map(str, arguments)]
+    environment = os.environ | {
+        "PYTHONDONTWRITEBYTECODE": "1"
+    }  # Python would leave half-written files of it.
+    done = subprocess.run(
+        command,
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=500.0,
+        check=False,
+    )
+    return done.returncode, done.stderr.splitlines()
+
+
+def test_model_page_is_absent_when_the_disk_is_full(
+    tmp_path: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = corridor.save_model(tmp_path / "way.smal")
+    out = tmp_path / "shown"
+
+    def full(_descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("smal.files.container.os.fsync", full)
+    status, _, errors = smal("model", "show", model, "--out", out)
+    assert (status, errors) == (1, f"smal: {out / 'index.html'}: No space left on device\n")
+    assert list(out.iterdir()) == []
+
+
+def test_certificates_are_absent_when_the_disk_is_full(tmp_path: Path) -> None:
+    keys = tmp_path / "keys"
+    status, lines = limited(300, "secure", "init", keys)
+    assert (status, lines) == (1, [f"smal: {tmp_path}: File too large"])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_model_is_absent_when_the_disk_is_full(tmp_path: Path) -> None:
+    recording = record(tmp_path, list(run("way", 0.0)))
+    model = tmp_path / "way.smal"
+    status, lines = limited(
+        10_000, "learn", recording, "--include-runs", "--modalities", "thumbnail", "--out", model
+    )
+    assert (status, lines[-1]) == (1, f"smal: {model}: File too large")
+    assert list(tmp_path.iterdir()) == [recording]
+
+
+def test_model_stays_when_the_disk_is_full_for_its_copy(tmp_path: Path) -> None:
+    drives = recorded(tmp_path / "runs", 4)
+    model = corridor.save_model(tmp_path / "way.smal")
+    before = model.read_bytes()
+    status, lines = limited(len(before), "learn", drives, "--add", "--out", model)
+    assert (status, lines[-1]) == (1, f"smal: {model}: File too large")
+    assert model.read_bytes() == before

@@ -42,10 +42,6 @@ def test_help_and_version_load_no_command(smal: Smal) -> None:
     assert done.stdout == f"smal {program_version()}\n[]\n"
 
 
-def test_command_is_suggested_when_name_is_unknown(smal: Smal) -> None:
-    assert smal("mach") == (2, "", "smal: No such command 'mach'. Did you mean 'match'?\n")
-
-
 @pytest.mark.parametrize(
     ("raised", "status", "line"),
     [

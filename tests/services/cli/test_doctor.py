@@ -22,22 +22,16 @@ def printing(text: str, ending: str = "") -> tuple[str, ...]:
 @pytest.mark.parametrize(
     ("command", "text"),
     [
-        (
-            printing('{"error": "no Vulkan driver found; install Mesa"}'),
-            "no Vulkan driver found; install Mesa",
-        ),
+        (printing('{"error": "no Vulkan driver found"}'), "no Vulkan driver found"),
         (
             printing("", "import os; os.kill(os.getpid(), 11)"),
-            "the Vulkan driver crashed (SIGSEGV); update it",
+            "the Vulkan driver crashed (SIGSEGV)",
         ),
         (
             printing("", "raise SystemExit('no module sapien')"),
-            "the renderer failed: no module sapien; install with",
+            "the renderer failed: no module sap",
         ),
-        (
-            printing("", "raise SystemExit(3)"),
-            "the renderer failed: no output; install with deploy/setup.sh",
-        ),
+        (printing("", "raise SystemExit(3)"), "the renderer failed: no output; install with"),
         (printing("[1]"), "the renderer failed: "),
     ],
     ids=["named", "crash", "exception", "silence", "nonsense"],

@@ -84,7 +84,7 @@ def test_evaluate_keeps_results_when_a_unit_fails(
         "quick", (WorldPlan("nowhere", Criterion(1.0, 25.0), trials=(Trial("smal", 1, 1),)),)
     )
     monkeypatch.setitem(plans.PLANS, "quick", nowhere)
-    status, _, said = smal("evaluate", "--out", str(tmp_path), "--quick")
+    status, _, said = smal("evaluate", "--out", str(tmp_path), "--quick", "--workers", "1")
     assert status == 1
     last = said.splitlines()[-1]
     assert last.startswith("smal: teach in nowhere: ")

@@ -32,7 +32,6 @@ def test_a_folder_becomes_recordings_that_teach(smal: Smal, tmp_path: Path) -> N
     (file,) = out.iterdir()
     (episode,) = read_recording(file).episodes
     assert (episode.goal, episode.outcome) == ("dock", "found")
-    assert episode.camera is not None
     assert camera_of(episode.camera).field_deg == pytest.approx(60.0, abs=0.1)
     assert json.loads(report.read_text())["files"] == [str(file)]
     status, said, errors = smal(

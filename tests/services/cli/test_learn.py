@@ -215,6 +215,12 @@ def test_learn_joins_the_rest_when_a_frame_is_incomplete(
     )
 
 
+def test_a_recording_teaches_any_features_of_its_images(tmp_path: Path) -> None:
+    wanted = FeatureSettings.of(("thumbnail", "gist"))
+    (one,) = teach(record(tmp_path, drive("e")), features=wanted).teaching.demonstrations
+    assert one.rows.shape == (40, wanted.size)
+
+
 def test_the_camera_of_a_recording_is_that_of_the_map(tmp_path: Path) -> None:
     info = CameraInfo.after(
         header("e", 0), width=640, height=480, focal_px=450.0, centre_x_px=320.0, centre_y_px=240.0

@@ -88,15 +88,14 @@ def write_truth(rows: list[tuple[int, int | str, int | str]]) -> None:
     Path("truth.csv").write_text("\n".join(["query,reference_first,reference_last", *lines]) + "\n")
 
 
-def matched(smal: Smal, *arguments: str) -> dict[str, object]:
-    status, _, _ = smal("match", "ref", "query", "--json", "out.json", *arguments)
+def matched(smal: Smal, arguments: str) -> dict[str, object]:
+    status, _, _ = smal("match", "ref", "query", "--json", "out.json", *arguments.split())
     assert status == 0
     return json.loads(Path("out.json").read_text())
 
 
 def references_of(written: dict[str, object]) -> list[int | None]:
     rows = written["matches"]
-    assert isinstance(rows, list)
     assert [row["query"] for row in rows] == list(range(len(rows)))
     assert all(set(row) == {"query", "reference", "score", "unknown"} for row in rows)
     return [row["reference"] for row in rows]
@@ -139,15 +138,8 @@ def test_depth_is_read_from_its_own_folders(folders: Path, smal: Smal) -> None:
             cv2.imwrite(
                 f"{name}/{file}", np.full((48, 64, 3), 99, np.uint8)
             )  # nothing to see but depth
-    arguments = (
-        "--modalities",
-        "depth",
-        "--reference-depth",
-        "ref-depth",
-        "--query-depth",
-        "query-depth",
-    )
-    assert references_of(matched(smal, *arguments, "--length", "1")) == list(range(FRAMES))
+    arguments = "--modalities depth --reference-depth ref-depth --query-depth query-depth"
+    assert references_of(matched(smal, f"{arguments} --length 1")) == list(range(FRAMES))
 
 
 @pytest.mark.parametrize(
@@ -223,19 +215,9 @@ def test_probable_matches_are_calibrated_and_drawn(
         Path(f"ref/{name}").unlink()
     unknown: list[tuple[int, int | str, int | str]] = [(place, "", "") for place in range(8)]
     write_truth([*unknown, *[(place, place - 8, place - 8) for place in range(8, FRAMES)]])
-    for online in ([], ["--online", "2"]):
-        written = matched(
-            smal,
-            "--tolerance",
-            "1",
-            "--precision",
-            "0.9",
-            "--truth",
-            "truth.csv",
-            "--plot",
-            "out.svg",
-            *online,
-        )
+    for online in ("", "--online 2"):
+        told = "--tolerance 1 --precision 0.9 --truth truth.csv --plot out.svg"
+        written = matched(smal, f"{told} {online}")
         assert {"calibration_error", "known_from_unknown", "auc_95"} <= set(written)
         assert references_of(written)[20] in {None, 11, 12, 13}
         assert written["precision"] == 0.9
@@ -268,22 +250,15 @@ def test_truth_is_told_by_names_gps_or_poses(folders: Path, smal: Smal) -> None:
         Path(f"{name}.csv").write_text("\n".join(["frame,x_m,y_m", *rows]))
         for place, file in enumerate(NAMES):
             tags = Image.Exif()
-            tags[0x8825] = {
-                1: "S",
-                2: (33.0, 51.0, place * 0.0323),
-                3: "E",
-                4: (151.0, 12.0, 0.0),
-            }  # a metre a frame
+            south = (33.0, 51.0, place * 0.0323)  # A metre a frame.
+            tags[0x8825] = {1: "S", 2: south, 3: "E", 4: (151.0, 12.0, 0.0)}
             if name == "ref" or place > 1:
                 Image.open(f"{name}/{file}").save(f"{name}/{file}", exif=tags)
     for place in (0, 1):
         Path(f"query/{NAMES[place]}").rename(f"query/a{place}.png")
-    told = (
-        ["--truth", "gps", "--radius", "1.5"],
-        ["--poses", "ref.csv", "query.csv", "--radius", "1.5"],
-    )
-    for arguments in (["--truth", "names"], *told):
-        written = matched(smal, "--length", "1", *arguments)
+    for told in ("names", "gps --radius 1.5", "--poses ref.csv query.csv --radius 1.5"):
+        arguments = told if told.startswith("--") else f"--truth {told}"
+        written = matched(smal, f"--length 1 {arguments}")
         assert (written["judged"], written["auc"]) == (FRAMES - 2, 1.0)
         assert written["tolerance"] is None
 
@@ -376,7 +351,7 @@ def test_match_page_exports_truth_when_a_person_judges(
         page.click("#save")
     download.value.save_as("judged.csv")
     page.close()
-    assert matched(smal, "--length", "1", "--truth", "judged.csv")["judged"] == 3
+    assert matched(smal, "--length 1 --truth judged.csv")["judged"] == 3
 
 
 def test_without_a_file_some_matches_are_printed(folders: Path, smal: Smal) -> None:

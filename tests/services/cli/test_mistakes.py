@@ -46,6 +46,7 @@ MODELS = [
 ]
 #: Arguments separated by single spaces, exit status, and a pattern for the line.
 MISTAKES = [
+    ("mach", 2, "No such command 'mach'. Did you mean 'match'?"),
     ("run", 2, "--model"),
     ("nonsense", 2, "nonsense"),
     ("run --model x --episodes 0", 2, "--episodes"),
@@ -110,6 +111,10 @@ MISTAKES = [
     (f"{LEARN} empty.mcap", 1, "empty.mcap: empty"),
     (f"{LEARN} failed.mcap", 1, "cannot learn from these recordings: "),
     ("learn drives --out new --length 1", 2, "--length"),
+    *(
+        (f"{learn} --modalities hog,depth", 2, "recordings contain no depth images; omit depth")
+        for learn in ("learn drives --out new", f"{LEARN} drives")
+    ),
     ("model show text.smal", 2, "not a SMAL model"),
     ("model show mapped.smal --recordings full", 2, "give --out too"),
     ("model show mapped.smal --recordings none --out full", 2, "not found"),

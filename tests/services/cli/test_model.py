@@ -53,7 +53,7 @@ def make(folder: Path) -> None:
         teacher.read(path)
     told = {"fit_camera": lambda *_: SCENE.camera, "fit_scene": lambda *_: SCENE}
     with patch.multiple("smal.teaching.mapping", **told):
-        learn_map(teacher.teaching.demonstrations, COLOR, config=MapConfig(sampled_views=500)).save(
+        learn_map(teacher.teaching.demonstrations, COLOR, config=MapConfig(sampled_views=250)).save(
             folder / "two.smal"
         )
     learn(teacher.teaching.demonstrations, LearningSettings(COLOR)).save(folder / "paper.smal")

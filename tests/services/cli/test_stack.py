@@ -142,8 +142,6 @@ def test_no_signal_leaves_orphans(
         stderr=subprocess.PIPE,
         text=True,
     ) as parent:
-        assert parent.stdout is not None
-        assert parent.stderr is not None
         if when == "running":
             assert parent.stdout.readline() == "ready\n"
             eventually(lambda: len(processes_of(name)) == 3)

@@ -28,9 +28,6 @@ def sample(message: topics.Message, **changes: object) -> Sample:
     )
 
 
-# -- the table --------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["state", "smal/other/state"])
 def test_info_describes_a_topic_with_its_schema(smal: Smal, name: str) -> None:
     row = json.loads(smal("topic", "info", name, "--json", "--robot", "robo-2")[1])
@@ -38,9 +35,6 @@ def test_info_describes_a_topic_with_its_schema(smal: Smal, name: str) -> None:
     assert row["encoding"] == "application/vnd.msgpack;smal.State/1"
     assert row["schema"]["additionalProperties"] is False
     assert row["schema"]["properties"]["status"]["description"]
-
-
-# -- samples ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -61,9 +55,6 @@ def test_topic_reports_payload_when_decoding_fails(changes: dict[str, object], r
     assert reason in strange.line()
     assert strange.line().isprintable()
     assert reason in str(strange.record()["error"])
-
-
-# -- listening --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.zenoh
@@ -97,11 +88,6 @@ def test_echo_into_a_pipe_that_is_closed(listen: Listen) -> None:
 
 def test_a_bad_key_expression_is_one_line(mistake: Mistake, client: Bus) -> None:
     assert "smal//x" in mistake(1, "topic", "echo", "smal//x", "--router", client.endpoint)
-
-
-def test_no_router_is_one_line(mistake: Mistake, free_endpoint: str) -> None:
-    said = mistake(1, "topic", "echo", "--router", free_endpoint)
-    assert said == f"smal: no router at {free_endpoint}; start the stack with `smal up`\n"
 
 
 KEY = "smal/rescuebot/command/teleop"

@@ -100,7 +100,6 @@ class Page:
 
     def vanish(self) -> None:
         """Be gone, without a word."""
-        assert self._drive is not None
         self.answers = False
         self._drive.socket.close()
 

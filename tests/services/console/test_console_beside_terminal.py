@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from schemas.base import KEYS
-from schemas.rpc import ResetReply, ResetRequest
-from services.kit.bus import Bus, RpcError
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.operator.operator import POLL_S, Operator
@@ -31,7 +29,6 @@ def test_page_keeps_the_takeover_of_a_terminal(
     terminal: Node,
     robot: Robot,
     recorder: RecorderService,
-    client: Bus,
     open_page: Callable[[], Page],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -56,25 +53,8 @@ def test_page_keeps_the_takeover_of_a_terminal(
     assert terminal.spin(lambda: HELD in page.news(), 30.0), page.news()
     assert robot.gate.taken_over
     assert page.state["robot"]["episode"] == run
-
-    def begin(request: ResetRequest) -> str:
-        operator.ask(lambda: _begun(client, request, said.append))
-        assert terminal.spin(lambda: not operator.asking, 30.0)
-        return said[-1]
-
-    said: list[str] = []
-    for driver in ("teleop", "policy"):
-        assert HELD in begin(RUN.model_copy(update={"driver": driver, "session": "another"}))
     assert terminal.spin(lambda: not robot.wheels.driven, 30.0)
     assert robot.gate.operator == terminal.session
     # Who has taken over says when the policy goes on.
     operator.resume()
     assert terminal.spin(lambda: not robot.gate.taken_over, 30.0), told
-
-
-def _begun(client: Bus, request: ResetRequest, say: Callable[[str], None]) -> Callable[[], None]:
-    try:
-        say(client.call("robot", "reset", request, ResetReply).episode)
-    except RpcError as error:
-        say(str(error))
-    return lambda: None

@@ -1,4 +1,4 @@
-"""A page drives the real actuator; the robot stands in time when the page fails."""
+"""A page drives the real actuator; the robot stands in time when the page fails or a world opens."""
 
 import threading
 import time
@@ -18,6 +18,7 @@ from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
 from services.recordings.reader import read_recording
+from services.robot.body import Beginning
 from services.robot.loop import STAND_WITHIN_S
 from tests.services.conftest import RunNode
 from tests.services.console.conftest import Console
@@ -177,7 +178,7 @@ def test_an_emergency_stop_overtakes_a_flood(
     flooder = threading.Thread(target=flood, daemon=True)
     flooder.start()
     try:
-        deadline = time.monotonic() + 2.0
+        deadline = time.monotonic() + 1.0
         while time.monotonic() < deadline:
             most = max(most, console.service._asked.qsize())
             time.sleep(0.001)
@@ -249,7 +250,6 @@ def test_any_page_stops_the_robot(
 def test_page_nonsense_is_refused_and_moves_nothing(
     driving: Page, robot: Robot, caplog: pytest.LogCaptureFixture
 ) -> None:
-    assert driving._drive is not None
     for said in ("nonsense", b"\x00", '{"do": "hold", "beat": 0, "held": [0, 1.1]}'):
         driving.refusals.clear()
         driving._drive.send(said)
@@ -301,3 +301,62 @@ def test_episode_does_not_begin_when_its_person_has_left(
     eventually(lambda: "not begun: the person who asked has left" in other.news())
     assert other.state["robot"]["episode"] is None
     assert robot.gate.emergency_stop, "it was not armed"
+
+
+Opening = tuple[threading.Event, threading.Event]  # A world is being opened; the robot goes on.
+
+
+@pytest.fixture
+def opening(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> Opening:
+    """Have the robot open another world until the test lets it go on."""
+    asked = threading.Event()
+    goes_on = threading.Event()
+    begin = robot.wheels.begin
+
+    def open_world(request: ResetRequest) -> Beginning:
+        asked.set()
+        assert goes_on.wait(100.0)
+        return begin(request)
+
+    monkeypatch.setattr(robot.wheels, "begin", open_world)
+    return asked, goes_on
+
+
+@unattended
+@pytest.mark.parametrize("how", ["leave", "withdraw"])
+def test_episode_ends_when_its_person_left_while_a_world_opened(
+    recorder: RecorderService, console: Console, open_page: OpenPage, opening: Opening, how: str
+) -> None:
+    asked, goes_on = opening
+    page = open_page()
+    other = open_page()
+    page.sit()
+    page.insist(asked.is_set, do="drive", goal="dock")
+    if how == "leave":
+        page.say(do="leave")
+        eventually(lambda: not console.service.attended)
+    else:
+        page.say(do="withdraw")
+        page.let_go()  # what was said before is heard
+    goes_on.set()
+    eventually(
+        lambda: "the person who asked has left" in other.news() or "cancelled" in other.news()
+    )
+    eventually(lambda: other.robot(episode=None, waiting=False))
+
+
+def test_emergency_stop_is_latched_while_a_world_opens(
+    robot: Robot, recorder: RecorderService, open_page: OpenPage, opening: Opening
+) -> None:
+    asked, goes_on = opening
+    page = open_page()
+    other = open_page()
+    page.sit()
+    page.held = "forward"
+    page.insist(asked.is_set, do="drive", goal="dock")
+    other.stop()
+    eventually(lambda: robot.gate.stop_cause == "emergency_stop")
+    goes_on.set()
+    eventually(lambda: page.state["robot"]["episode"] is not None)
+    assert robot.gate.stop_cause == "emergency_stop"
+    assert not robot.wheels.driven

@@ -1,4 +1,4 @@
-"""The list of recordings and models; names and files are untrusted."""
+"""The list of recordings and models, whose names and files are untrusted; a belief on its map."""
 
 import multiprocessing
 import signal
@@ -15,17 +15,22 @@ from mcap.records import Chunk
 
 from schemas.base import Message
 from schemas.rpc import LoadReply, LoadRequest
+from schemas.state import State
+from services.console.learned import learned_of
 from services.console.library import Library
 from services.console.listing import ListedRecording, Reader, end_after
+from services.kit.model_service import identity_of
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
 from services.recordings.records import MAGIC
 from tests import corridor
+from tests.places import places
 from tests.services.conftest import RunNode
 from tests.services.console.conftest import Console
 from tests.services.console.page import Page
 from tests.services.recordings import recorded_messages, test_recorder_files
+from tests.services.recordings.recorded_messages import header
 from tests.services.robot.wheels import Robot
 from tests.services.waiting import eventually
 
@@ -49,12 +54,8 @@ def test_library_lists_outcome_length_and_pictures(
     listed = library.look()
     (shown,) = listed["recordings"]
     assert shown["name"] == "drives/drive-1.mcap"
-    assert (shown["outcome"], shown["frames"], shown["thumbnails"], shown["useless"]) == (
-        "found",
-        12,
-        6,
-        "",
-    )
+    facts = [shown[name] for name in ("outcome", "frames", "thumbnails", "useless")]
+    assert facts == ["found", 12, 6, ""]
     assert shown["seconds"] == pytest.approx(1.1)
     (recording,) = library.recordings()
     assert all(picture.startswith(b"\xff\xd8") for picture in recording.thumbnails)
@@ -162,13 +163,8 @@ def test_library_deletes_only_listed_recordings(
     eventually(lambda: page.state.get("library", {}).get("recordings"))
     page.take()
     eventually(lambda: page.beats)
-    for name in (
-        "other/drive-1.mcap",
-        "../drives/drive-2.mcap",
-        "drives/../other/drive-1.mcap",
-        str(kept),
-        "",
-    ):
+    away = ("other/drive-1.mcap", "../drives/drive-2.mcap", "drives/../other/drive-1.mcap")
+    for name in (*away, str(kept), ""):
         page.say(do="delete", recording=name)
     page.say(do="delete", recording="drives/drive-2.mcap")
     eventually(lambda: not page.state["library"]["recordings"])
@@ -209,8 +205,16 @@ def test_a_run_is_of_the_model_that_is_chosen_and_recorded(
     assert loaded[:2] == [("policy", wanted), ("recognition", wanted)]
     page.insist(lambda: page.state["library"]["recordings"], do="end", found=True)
     (recording,) = page.state["library"]["recordings"]
-    assert (recording["purpose"], recording["goal"], recording["outcome"]) == (
-        "run",
-        "victim",
-        "found",
-    )
+    facts = [recording[name] for name in ("purpose", "goal", "outcome")]
+    assert facts == ["run", "victim", "found"]
+
+
+def test_a_belief_is_not_drawn_when_its_places_are_unknown() -> None:
+    learned = learned_of(corridor.model(), None, {})
+    last = len(corridor.model().mapped.keyframes) - 1
+    for keyframes, drawn in (((last,), True), ((last + 1,), False), ((last, 1_000_000), False)):
+        where = places(*[(key, 0.0, 0.0, 0.0, 0.5) for key in keyframes])
+        state = State.after(
+            header("e", 0), status="recognized", model=identity_of(corridor.model()), places=where
+        )
+        assert bool(learned.belief(state)) is drawn

@@ -151,13 +151,9 @@ def test_a_model_learns_more_from_the_runs_of_today(
 
 def recording(name: str) -> dict[str, object]:
     facts = {
-        "when_s": 1.0,
-        "size": 1,
-        "purpose": "drive",
-        "goal": "victim",
-        "world": "yard",
+        "when_s": 1.0, "size": 1, "purpose": "drive", "goal": "victim", "world": "yard",
         "outcome": "found",
-    }
+    }  # fmt: skip
     shown = {"frames": 9, "seconds": 1.0, "useless": "", "thumbnails": 0}
     return {"name": f"drives/{name}.mcap", "episode": name, **facts, **shown}
 
@@ -191,13 +187,9 @@ def test_page_draws_course_and_obstacles_over_the_picture(
     )
     tell_robot(board, world="yard", speed_m_s=2.0, turn_rate_rad_s=0.8)
     told = {
-        "episode": "e",
-        "answers": True,
-        "waiting": False,
-        "emergency": False,
-        "linear": 1.0,
+        "episode": "e", "answers": True, "waiting": False, "emergency": False, "linear": 1.0,
         "angular": -0.5,
-    }
+    }  # fmt: skip
 
     def drawn(x: int, y: int) -> list[int]:
         board.put("robot", told | {"at": board.clock()})
@@ -222,7 +214,6 @@ def test_box_goes_with_found_unless_the_robot_moves_on(
     def draw(*corners: tuple[float, float]) -> None:
         """Drag over the picture, which is 4 to 3, and shown whole."""
         at = page.locator("#camera canvas").bounding_box()
-        assert at is not None
         for number, (x, y) in enumerate(corners):
             page.mouse.move(at["x"] + at["width"] * x, at["y"] + at["height"] * y)
             if number == 0:

@@ -16,13 +16,9 @@ def scheduler_and_worker(keys: Path, folder: Path) -> Iterator[str]:
     """Start them; yield the scheduler's address."""
     certificate = str(keys / "engine.pem")
     tls = [
-        "--tls-ca-file",
-        certificate,
-        "--tls-cert",
-        certificate,
-        "--tls-key",
+        "--tls-ca-file", certificate, "--tls-cert", certificate, "--tls-key",
         str(keys / "engine.key"),
-    ]
+    ]  # fmt: skip
     here = ["--host", "127.0.0.1", "--protocol", "tls", *tls]
 
     def start(*arguments: str) -> "subprocess.Popen[str]":
@@ -38,7 +34,6 @@ def scheduler_and_worker(keys: Path, folder: Path) -> Iterator[str]:
     scheduler = start("scheduler", "--port", "0", "--no-dashboard", *here)
     worker = None
     try:
-        assert scheduler.stderr is not None
         found = (re.search(r"Scheduler at:\s+(tls://\S+)", line) for line in scheduler.stderr)
         address = next(one[1] for one in found if one)
         worker = start("worker", address, "--nthreads", "1", "--no-dashboard", *here)

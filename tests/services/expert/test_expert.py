@@ -103,8 +103,6 @@ def test_expert_answers_each_frame_with_one_command() -> None:
     assert expert.handle(frame(0, episode="other")) is None
     first = expert.handle(frame(0))
     second = expert.handle(frame(1, heading=1.0))
-    assert first is not None
-    assert second is not None
     assert (first.tick, first.atom, first.source) == (0, "forward", "expert")
     assert (second.tick, second.atom) == (1, "right")
     assert expert.handle(frame(1, heading=1.0)) == second, "a frame that is sent again"

@@ -53,12 +53,8 @@ def recording(
         )
 
     told: dict[str, Any] = {
-        "purpose": "drive",
-        "driver": "teleop",
-        "world": "corridor",
-        "seed": 1,
-        "goal": "dock",
-    }
+        "purpose": "drive", "driver": "teleop", "world": "corridor", "seed": 1, "goal": "dock",
+    }  # fmt: skip
     started = Episode.after(header(0), event="started", **told)
     writer = EpisodeWriter.begin(folder, started)
     writer.write(started)

@@ -169,13 +169,10 @@ def csv_folder(
             (folder / name).write_bytes(data)
             table.writerow(
                 [
-                    moment.time_s,
-                    name,
-                    moment.linear,
-                    moment.angular,
+                    moment.time_s, name, moment.linear, moment.angular,
                     *(moment.pose if poses else ()),
                 ]
-            )
+            )  # fmt: skip
     return folder
 
 

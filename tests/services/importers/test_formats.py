@@ -82,13 +82,8 @@ def test_a_bag_is_imported(kind: str, tmp_path: Path) -> None:
     report, tally = imported(BAGS[kind](tmp_path / "bag"), "rosbag2", tmp_path / "out")
     episode = episode_of(report)
     check_drive(episode, blurred=3)
-    assert (episode.outcome, episode.goal, episode.purpose, episode.robot) == (
-        "found",
-        "victim",
-        "drive",
-        "burger",
-    )
-    assert episode.camera is not None
+    facts = (episode.outcome, episode.goal, episode.purpose, episode.robot)
+    assert facts == ("found", "victim", "drive", "burger")
     assert (episode.camera.focal_px, episode.camera.lens) == (pytest.approx(45.0), "plumb_bob")
     assert report.odometry == "of the source"
     assert "images from /camera/image, velocities from /cmd_vel" in tally.lines()
@@ -261,7 +256,6 @@ def test_imported_turn_keeps_its_forward_speed(form: str, ahead: float, tmp_path
     teacher = Teacher(corridor.FEATURES, shortest=2)
     teacher.read(Path(report.files[0]))
     (demonstration,) = teacher.teaching.demonstrations
-    assert demonstration.ahead is not None
     turns = (demonstration.atoms == Atom.LEFT) | (demonstration.atoms == Atom.RIGHT)
     assert np.median(demonstration.ahead[turns]) == pytest.approx(ahead, abs=1e-4)
 

@@ -184,18 +184,8 @@ def test_import_counts_invalid_images(tmp_path: Path) -> None:
     }
 
 
-NUMBERS = [
-    "NaN",
-    "Infinity",
-    "-Infinity",
-    "1e400",
-    '"fast"',
-    "null",
-    "[]",
-    "{}",
-    "1" * 400,
-    "[" * 2000 + "]" * 2000,
-]
+NUMBERS = ["NaN", "Infinity", "-Infinity", "1e400", '"fast"', "null", "[]", "{}"]
+NUMBERS += ["1" * 400, "[" * 2000 + "]" * 2000]
 
 
 @pytest.mark.parametrize("field", ["_index", "_timestamp_ms", "user/angle", "user/throttle"])
@@ -218,11 +208,7 @@ def test_import_counts_invalid_numbers_of_a_tub(field: str, tmp_path: Path) -> N
         ('"fps": 20', '"fps": 0', "fps: "),
         ('"fps": 20', '"fps": 1e400', "fps: "),
         ('"chunks_size": 1000', '"chunks_size": 0', "chunks_size: "),
-        (
-            '"theta.vel"',
-            '"elbow"',
-            "no linear and angular velocity of a base in action or observation.state",
-        ),
+        ('"theta.vel"', '"elbow"', "no linear and angular velocity of a base in action or obser"),
         ('"video"', '"float32"', "0 cameras (none)"),
         ('"features"', '"feature"', "features: Field required"),
         (f'"{CAMERA}"', '"../../../../secret"', "lacks the column"),
@@ -380,26 +366,20 @@ def test_import_rejects_messages_that_unpack_too_large(tmp_path: Path) -> None:
     assert "packed message too large (more than" in refused(bag, "rosbag2", tmp_path)
 
 
+COLUMNS = "image,time_s,linear_m_s,angular_rad_s\n"
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
         ("", "lacks the columns"),
         ("image,time_s\n", "lacks the columns angular_rad_s, linear_m_s"),
-        ("image,time_s,linear_m_s,angular_rad_s\n", "no row has"),
-        ("image,time_s,linear_m_s,angular_rad_s\n" + "x" * 2_000_000, "line too long (more than"),
-        ('image,time_s,linear_m_s,angular_rad_s\n"' + ("x" * 900 + "\n") * 900, "not CSV"),
-        (
-            "image,time_s,linear_m_s,angular_rad_s\n0.jpg,nan,1,0\n0.jpg,0,inf,0\n0.jpg,1e999,1,0\n",
-            "no row has",
-        ),
-        (
-            "image,time_s,linear_m_s,angular_rad_s\n0000.jpg,0,1,0\n0001.jpg,1e300,1,0\n",
-            "not in seconds",
-        ),
-        (
-            "image,time_s,linear_m_s,angular_rad_s\n0000.jpg,5,0,0\n0001.jpg,6,0,0\n",
-            "the robot never drives",
-        ),
+        (COLUMNS, "no row has"),
+        (COLUMNS + "x" * 2_000_000, "line too long (more than"),
+        (COLUMNS + '"' + ("x" * 900 + "\n") * 900, "not CSV"),
+        (COLUMNS + "0.jpg,nan,1,0\n0.jpg,0,inf,0\n0.jpg,1e999,1,0\n", "no row has"),
+        (COLUMNS + "0000.jpg,0,1,0\n0001.jpg,1e300,1,0\n", "not in seconds"),
+        (COLUMNS + "0000.jpg,5,0,0\n0001.jpg,6,0,0\n", "the robot never drives"),
     ],
     ids=["empty", "columns", "rows", "line", "quote", "numbers", "times", "still"],
 )

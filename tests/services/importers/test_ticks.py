@@ -70,12 +70,6 @@ def test_times_that_are_not_seconds_are_named(late_s: float) -> None:
         shown([0.0, 0.1, late_s])
 
 
-def test_times_that_go_back_are_counted() -> None:
-    _, frames, tally = shown([0.0, 0.1, 0.05, math.nan, 0.2])
-    assert frames == [0, 1, 4]
-    assert tally.counts == {"frames are not later than the frame before": 2}
-
-
 ROWS = st.lists(
     st.tuples(st.floats(0.0, 20.0), st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)), max_size=30
 )
@@ -91,35 +85,11 @@ def test_velocity_holds_until_the_next_or_the_timeout(
     assert gone == pytest.approx((motion[:, 1:] * holds_s[:, None]).sum(axis=0), abs=1e-6)
 
 
-def test_velocity_is_zero_when_driver_is_silent() -> None:
-    due_s = 0.1 * np.arange(55)
-    linear, _ = moves((0.0, 1.0, 0.0), (5.0, 1.0, 0.0)).velocities(due_s).T
-    assert linear[:5] == pytest.approx(1.0)
-    assert linear[5:50] == pytest.approx(0.0)
-    assert moves((0.0, 1.0, 0.0), (5.0, 1.0, 0.0)).silent(due_s) == 45
-    assert moves().silent(due_s) == 55
-
-
-def test_a_way_is_reckoned_as_the_robot_drives_it() -> None:
-    """The robot drives a quarter of a circle of 2 m, then turns on the spot."""
-    quarter = math.pi / 2.0
-    rows = [
-        (0.1 * k, 0.2 * math.pi / 2.0, quarter / 5.0) if k < 50 else (0.1 * k, 0.0, -quarter)
-        for k in range(60)
-    ]
-    way = moves(*rows).way(0.1 * np.arange(61))
-    radius_m = (0.2 * math.pi / 2.0) / (quarter / 5.0)
-    assert way[50] == pytest.approx([radius_m, radius_m, quarter], abs=1e-3)
-    assert way[60] == pytest.approx([radius_m, radius_m, 0.0], abs=1e-3)
-
-
 def tracked(
     rows: list[tuple[float, float, float, float]], times_s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     drive = ImportedDrive.of_rows("lap", np.zeros(0), lambda: iter(()), [], rows, Tally())
-    found = odometry(drive, times_s, None)
-    assert found is not None
-    return found
+    return odometry(drive, times_s, None)
 
 
 def test_odometry_begins_at_zero_when_heading_wraps() -> None:
@@ -155,10 +125,3 @@ def test_atoms_follow_shares_of_nominal_velocities(scale: float) -> None:
     shares = shares_of(scale * np.array([row[:2] for row in table]), usual)
     assert [share.atom() for share in shares] == [row[2] for row in table]
     np.testing.assert_allclose(shares, np.clip([row[:2] for row in table], -1.0, 1.0), atol=1e-6)
-
-
-def test_noise_is_no_turn_when_robot_never_turns() -> None:
-    velocities = np.stack([np.ones(100), np.random.default_rng(1).normal(0.0, 0.01, 100)], axis=1)
-    assert {share.atom() for share in shares_of(velocities, nominal(velocities))} == {"forward"}
-    with pytest.raises(ImportFailure, match="the robot never drives"):
-        nominal(np.zeros((10, 2)))

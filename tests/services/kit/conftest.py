@@ -18,6 +18,4 @@ def node(settings: ServiceSettings) -> Iterator[Node]:
 
 
 def status(client: Bus) -> Status:
-    answer = status_of(client, "sample")
-    assert answer is not None
-    return answer
+    return status_of(client, "sample")

@@ -24,7 +24,7 @@ from services.kit.bus import Bus, BusError, Router, host_and_port
 from services.kit.credentials import Credentials, credentials_in, secret, why_refused
 from services.kit.zenoh_session import MAX_SESSIONS, router_settings
 from services.table import Role, roles
-from tests.services.secured import ROBOT, certificate_in, make_keys, open_session, secured_router
+from tests.services.secured import ROBOT, make_keys, open_session, secured_router
 from tests.services.waiting import eventually
 
 VERBS: Final = ("put", "delete", "subscribe", "query", "serve", "token")
@@ -258,8 +258,8 @@ def test_certificate_is_refused_in_one_line_when_it_is_invalid(
     (tmp_path / "broken" / "operator.pem").write_text("nothing")
     other = endpoint.replace("127.0.0.1", "127.0.0.2")
     everywhere = endpoint.replace("127.0.0.1", "0.0.0.0")  # noqa: S104 - the case under test
-    operator = certificate_in(keys, "operator")
-    with closing(Router(everywhere, certificate_in(keys, "router"), ROBOT)):
+    operator = credentials_in(keys, "operator")
+    with closing(Router(everywhere, credentials_in(keys, "router"), ROBOT)):
         for address, folder, why in [
             (other, keys, rf"{other} shows is refused: IP address mismatch.*--host 127\.0\.0\.2"),
             (endpoint, foreign, f"{endpoint} shows is refused: unable to get local issuer"),
@@ -272,14 +272,14 @@ def test_certificate_is_refused_in_one_line_when_it_is_invalid(
             ),
         ]:
             with pytest.raises(BusError, match=why) as error:
-                Bus(ROBOT, address, 0.0, certificate_in(folder, "operator"))
+                Bus(ROBOT, address, 0.0, credentials_in(folder, "operator"))
             assert "\n" not in str(error.value)
         assert why_refused(operator, *host_and_port(endpoint)) is None
         assert not _refused(endpoint, operator)
         # Without a certificate, without encryption, and with the key of another role.
         assert _refused(endpoint, None)
         assert _refused(free_endpoint, None)
-        assert _refused(endpoint, operator._replace(key=certificate_in(keys, "watcher").key))
+        assert _refused(endpoint, operator._replace(key=credentials_in(keys, "watcher").key))
     # A client refuses a foreign router, and a router with the certificate of another role.
     with secured_router(endpoint, foreign):
         assert _refused(endpoint, operator)
@@ -300,13 +300,13 @@ def test_a_connection_ends_with_its_certificate(
     def open_briefly() -> zenoh.Session | None:
         certificates.issue(brief, certificates.HOSTS, days=3 / 86400)
         with suppress(zenoh.ZError):  # a busy machine takes longer than that to get in
-            return open_session(endpoint, certificate_in(brief, "operator"))
+            return open_session(endpoint, credentials_in(brief, "operator"))
         return None
 
     with secured_router(endpoint, keys), closing(eventually(open_briefly)) as session:
         eventually(lambda: not session.info.routers_zid())
         # And it stays out.
-        assert _refused(endpoint, certificate_in(brief, "operator"))
+        assert _refused(endpoint, credentials_in(brief, "operator"))
 
 
 def _driving(endpoint: str, keys: Path, stack: ExitStack) -> Callable[[], None]:
@@ -414,7 +414,7 @@ def test_an_encrypted_address_without_a_certificate_is_one_line(
     with pytest.raises(BusError, match="needs a certificate"):
         Bus(ROBOT, endpoint)
     with pytest.raises(BusError, match="is not encrypted"):
-        Bus(ROBOT, free_endpoint, credentials=certificate_in(keys, "operator"))
+        Bus(ROBOT, free_endpoint, credentials=credentials_in(keys, "operator"))
     with (
         secured_router(endpoint, keys),
         pytest.raises(BusError, match="requires a certificate") as error,

@@ -156,9 +156,7 @@ def call_when_served(
                 return None
             raise
 
-    reply = eventually(answered)
-    assert reply is not None
-    return reply
+    return eventually(answered)
 
 
 def test_call_names_the_reason_when_it_fails(client: Bus, other: Bus, router_endpoint: str) -> None:

@@ -42,7 +42,7 @@ def test_a_camera_comes_back(
     assert 0.0 < back.field_deg <= 360.0
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     st.lists(NUMBERS, min_size=9, max_size=9),
     st.lists(NUMBERS, max_size=14),

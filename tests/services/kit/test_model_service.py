@@ -1,7 +1,5 @@
 """Recognition and policy load models by name, keep the old one when a load is refused, and never mix two."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -16,7 +14,7 @@ from services.policy.service import PolicyService
 from services.recognition.service import RecognitionService
 from smal.model import Model
 from tests import corridor
-from tests.services.chain import LENGTH, identity, observation, save_model, state
+from tests.services.chain import LENGTH, identity, observation, save_model, state, with_model
 
 Service = PolicyService | RecognitionService
 SERVICES = (PolicyService, RecognitionService)
@@ -73,16 +71,12 @@ def load_by_name(service: Service, root: Path, request: LoadRequest) -> None:
 
 @pytest.fixture
 def policy(model: Path) -> PolicyService:
-    service = PolicyService()
-    service.load(LoadedModel.read(model))
-    return service
+    return with_model(PolicyService(), model)
 
 
 @pytest.fixture
 def recognition(model: Path) -> RecognitionService:
-    service = RecognitionService()
-    service.load(LoadedModel.read(model))
-    return service
+    return with_model(RecognitionService(), model)
 
 
 def atom(answer: list[Message]) -> str:
@@ -92,9 +86,6 @@ def atom(answer: list[Message]) -> str:
 
 def decisions(answer: list[Message]) -> list[Message]:
     return [message for message in answer if isinstance(message, Action)]
-
-
-# -- loading ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("cls", SERVICES)
@@ -107,11 +98,8 @@ def test_the_loaded_model_is_told(
     reply = service.load(LoadedModel.read(model, "paper", stride))
     assert reply == LoadReply(scheme="paper", states=6, stride=got)
     detail = service.detail()
-    assert (detail["model"], detail["checksum"], detail["scheme"]) == (
-        str(model),
-        identity(model),
-        "paper",
-    )
+    facts = [detail[name] for name in ("model", "checksum", "scheme")]
+    assert facts == [str(model), identity(model), "paper"]
 
 
 @pytest.mark.parametrize("cls", SERVICES)
@@ -154,27 +142,6 @@ def test_recognition_keeps_its_window_after_a_refused_load(
     assert (answer.status, answer.state) == ("recognized", 2)
 
 
-def test_services_with_a_map_load_nothing_of_the_paper(tmp_path: Path) -> None:
-    program = (
-        "import sys\n"
-        "from pathlib import Path\n"
-        "from services.kit.model_service import LoadedModel\n"
-        "from services.policy.service import PolicyService\n"
-        "from services.recognition.service import RecognitionService\n"
-        "for service in (RecognitionService(), PolicyService()):\n"
-        "    service.load(LoadedModel.read(Path(sys.argv[1])))\n"
-        "print([name for name in ('smal.paper.recognition', 'smal.paper.state_matching') if name in sys.modules])"
-    )
-    mapped = corridor.save_model(tmp_path / "mapped.smal")
-    done = subprocess.run(
-        [sys.executable, "-c", program, mapped], capture_output=True, text=True, check=True
-    )
-    assert done.stdout == "[]\n"
-
-
-# -- two models -------------------------------------------------------------------------------------------------------
-
-
 def test_states_name_the_model_that_they_are_of(
     recognition: RecognitionService, model: Path, other: Path
 ) -> None:
@@ -201,14 +168,3 @@ def test_policy_stops_when_a_state_is_of_another_model(
     assert atom(policy.handle(state(2, model, status="collecting"))) == "stop"
     assert atom(policy.handle(state(3, model, status="recognized", state=2))) == "forward"
     assert policy.detail()["states_of_another_model"] == 3
-
-
-def test_policy_obeys_another_model_once_it_is_loaded(
-    policy: PolicyService, model: Path, other: Path
-) -> None:
-    theirs = state(0, other, status="recognized", state=2)
-    assert atom(policy.handle(theirs)) == "stop"
-    policy.load(LoadedModel.read(other))
-    assert policy.detail()["states_of_another_model"] == 0
-    assert atom(policy.handle(theirs)) == "forward"
-    assert atom(policy.handle(state(1, model, status="collecting"))) == "stop"

@@ -46,9 +46,6 @@ def send_raw(node: Node, topic: Topic, payload: bytes, encoding: str) -> None:
     node._inbox.put(topic.name, (payload, encoding), len(payload))
 
 
-# -- messages ---------------------------------------------------------------------------------------------------------
-
-
 def test_a_message_is_handled_and_its_answers_are_published(
     node: Node, run_node: RunNode, client: Bus
 ) -> None:
@@ -76,16 +73,8 @@ def test_a_message_is_handled_and_its_answers_are_published(
         (b"", encoding_of(Command), "not msgpack"),
         (b"\x80", encoding_of(Command), "robot: Field required"),
         (encode(command(1)), "", "expected application/vnd.msgpack;smal.Command/1"),
-        (
-            encode(command(1, robot="stranger")),
-            encoding_of(Command),
-            "message of stranger/command/teleop",
-        ),
-        (
-            encode(command(1, source="policy")),
-            encoding_of(Command),
-            "message of rescuebot/command/policy",
-        ),
+        (encode(command(1, robot="stranger")), encoding_of(Command), "message of stranger/comma"),
+        (encode(command(1, source="policy")), encoding_of(Command), "message of rescuebot/comma"),
     ],
     ids=["garbage", "empty", "no fields", "no encoding", "another robot", "another source"],
 )
@@ -124,9 +113,6 @@ def test_a_slow_handler_sees_the_newest_and_the_rest_is_counted(
     eventually(lambda: len(handled) == 3)
     assert handled == [7, 8, 9]
     assert status(client).dropped == {TELEOP.name: 7}
-
-
-# -- calls ------------------------------------------------------------------------------------------------------------
 
 
 def serve_end(node: Node) -> None:
@@ -183,9 +169,6 @@ def test_status_is_answered_while_a_handler_is_busy(
         assert status(client).detail == {"model": "campus"}
     finally:
         finish.set()
-
-
-# -- the loop ---------------------------------------------------------------------------------------------------------
 
 
 def test_timers_run_and_survive_failures(node: Node) -> None:
@@ -265,8 +248,6 @@ def test_a_signal_just_before_the_loop_waits_ends_it(
         signal.signal(*handled)
 
 
-# -- processes --------------------------------------------------------------------------------------------------------
-
 SERVICE = """
 from services.kit.settings import ServiceSettings
 from services.kit.process import run_node
@@ -303,7 +284,6 @@ def test_a_signal_stops_a_process_cleanly(
     router_endpoint: str, client: Bus, number: signal.Signals
 ) -> None:
     process = start("--router", router_endpoint)
-    assert process.stderr is not None
     with process:
         wait_for(process.stderr, "serving")
         assert ready(client, "sample").pid == process.pid
@@ -320,11 +300,7 @@ def test_a_signal_stops_a_process_cleanly(
     ("flags", "status", "line"),
     [
         (("--robot", "Bad Robot"), 2, "sample: robot: 'Bad Robot' must match pattern"),
-        (
-            ("--router", "nonsense"),
-            1,
-            "invalid router address 'nonsense': expected tcp/<host>:<port>",
-        ),
+        (("--router", "nonsense"), 1, "invalid router address 'nonsense': expected tcp/<host>:"),
     ],
 )
 def test_bad_settings_are_one_line(flags: tuple[str, ...], status: int, line: str) -> None:

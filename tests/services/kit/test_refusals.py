@@ -1,4 +1,4 @@
-"""Forged and oversized messages are refused before they are copied, and counted; others pass."""
+"""Forged, altered, oversized and too many messages are refused and counted; others pass."""
 
 import json
 import logging
@@ -6,9 +6,10 @@ import threading
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from typing import Any
 
 import pytest
 import zenoh
@@ -18,18 +19,27 @@ from schemas.base import Message
 from schemas.camera import CompressedImage
 from schemas.codec import encode, encoding_of
 from schemas.command import Command
+from schemas.motion import TruePose
 from schemas.rpc import EndRequest, Failure, Nothing
 from schemas.state import State
-from schemas.topics import TOPICS, rpc_key
+from schemas.topics import COMMANDS, TOPICS, rpc_key
 from services.kit.bus import Bus, RpcError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
-from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES
-from services.kit.zenoh_session import MAX_SESSIONS, runtime, zenohd_configuration
+from services.kit.wire import LARGEST_BYTES, MAX_RPC_BYTES, checksum
+from services.kit.zenoh_session import (
+    MAX_SESSIONS,
+    MOST_CALLS_HZ,
+    runtime,
+    settings_of,
+    zenohd_configuration,
+)
+from services.table import roles
 from tests.schemas.messages import EXAMPLES
 from tests.services.chain import command
 from tests.services.conftest import RunNode
 from tests.services.kit.conftest import status
+from tests.services.secured import open_session
 from tests.services.waiting import eventually, introduce, ready, send_as_stranger
 
 ROOT = Path(__file__).parents[3]
@@ -433,3 +443,80 @@ def test_repeated_failures_do_not_fill_the_log(
             1 <= len([line for line in lines if text in line]) <= 3 + time.monotonic() - began_s
         ), "one a second"
     assert "ZeroDivisionError" in caplog.text
+
+
+def test_a_message_that_was_changed_on_its_way_is_refused(
+    client: Bus, router_endpoint: str
+) -> None:
+    pose = EXAMPLES[TruePose]
+    heard = SimpleQueue[bytes]()
+    refused = SimpleQueue[str]()
+    payload = encode(pose)
+    changed = payload.replace(b"x_m", b"y_m")
+    assert changed != payload
+    with closing(Bus("rescuebot", router_endpoint)) as other:
+        other.subscribe(topics.POSE, lambda payload, *_: heard.put(payload), refused.put)
+        sender = client.declare_publisher(topics.POSE)
+
+        def told() -> bool:
+            sender.put(changed, attachment=checksum(payload))
+            return not refused.empty()
+
+        eventually(told)
+        assert "changed" in refused.get()
+        sender.put(payload)  # of a sender that says nothing of it
+        client.publish(pose)
+        assert [heard.get(timeout=100.0) for _ in range(2)] == [payload] * 2
+
+
+STOP = COMMANDS["emergency_stop"].key("rescuebot")
+STATUS = rpc_key("rescuebot", "robot", "status")
+FLOOD = 40_000  # More than a router lets through in the time that it takes to ask them.
+
+
+def test_each_call_of_a_role_is_bounded() -> None:
+    items: Any = settings_of("router", "tcp/127.0.0.1:1", None)["downsampling"]
+    (item,) = items
+    assert item["messages"] == ["query"]
+    calls = {rpc_key("*", *name.split("/", 1)) for role in roles().values() for name in role.calls}
+    assert calls <= {rule["key_expr"] for rule in item["rules"]}
+
+
+def test_flood_of_calls_is_dropped_while_stops_pass(
+    router_endpoint: str,
+) -> None:
+    asked = [0]
+    stops = [0]
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            asked[0] += 1
+            query.reply(STATUS, b"{}")
+
+    def note(_sample: zenoh.Sample) -> None:
+        stops[0] += 1
+
+    with (
+        closing(open_session(router_endpoint, None)) as robot,
+        closing(open_session(router_endpoint, None)) as flooder,
+        closing(open_session(router_endpoint, None)) as other,
+    ):
+        served = robot.declare_queryable(STATUS, zenoh.handlers.Callback(answer, indirect=False))
+        heard = robot.declare_subscriber(STOP, zenoh.handlers.Callback(note, indirect=False))
+        eventually(lambda: list(other.get(STATUS, timeout=100.0)))
+        eventually(lambda: (other.put(STOP, b"first"), stops[0])[1])
+        # What was put until then has come: nothing of one session overtakes.
+        list(other.get(STATUS, timeout=100.0))
+        before = stops[0]
+        since_s = time.monotonic()
+        for number in range(FLOOD):
+            flooder.get(STATUS, zenoh.handlers.RingChannel(1), timeout=100.0)
+            if number % (FLOOD // 10) == 0:
+                flooder.put(STOP, b"of the flooder")
+                other.put(STOP, b"of another one")
+                assert list(other.get(STATUS, timeout=100.0)), "who asks one by one is answered"
+        asked_s = time.monotonic() - since_s
+        eventually(lambda: stops[0] == before + 20)
+        served.undeclare()
+        heard.undeclare()
+    assert 0 < asked[0] <= MOST_CALLS_HZ * (asked_s + 1.0) + 100

@@ -47,15 +47,11 @@ def applied(
 def event(name: str, episode: str = "e", outcome: str | None = None) -> Episode:
     return Episode.model_validate(
         {
-            "robot": "r",
-            "episode": episode,
-            "tick": 0,
-            "stamp_ns": 0,
-            "event": name,
+            "robot": "r", "episode": episode, "tick": 0, "stamp_ns": 0, "event": name,
             "purpose": "drive",
         }
         | {"driver": "teleop", "world": "yard", "seed": 1, "outcome": outcome}
-    )
+    )  # fmt: skip
 
 
 def brief(command: Command | None) -> tuple[str, str, int, int] | None:
@@ -110,21 +106,6 @@ def test_turn_key_drives_a_car_in_a_bend(
 def test_keys_without_a_robot_are_not_kept_for_one(operator: Operator) -> None:
     assert operator.service.hold(KEYS["forward"], math.inf) is None
     assert [operator.beat(tick) for tick in range(5)] == [None] * 5
-
-
-def test_the_emergency_stop_ends_when_the_robot_was_armed(operator: Operator) -> None:
-    operator.beat(3)
-    operator.service.stop_for_emergency()
-    operator.beat(4, "emergency_stop")
-    assert operator.service.to_release == 7
-    operator.service.arming()
-    assert operator.beat(5) is None, "it has been released, though the answer is not here yet"
-    assert operator.service.emergency
-    operator.service.armed()
-    operator.service.answered()
-    assert not operator.service.emergency
-    assert operator.beat(6) is None
-    assert brief(operator.service.hold(KEYS["left"], math.inf)) == ("teleop", "left", 6, 0)
 
 
 def test_arming_releases_the_stop_that_the_robot_reported(operator: Operator) -> None:

@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from schemas.base import KEYS
-from schemas.command import Command
 from schemas.rpc import ResetRequest
-from schemas.topics import APPLIED, COMMANDS
+from schemas.topics import COMMANDS
 from services.kit.bus import Bus
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
@@ -18,7 +17,7 @@ from services.operator.operator import POLL_S, Operator
 from services.robot.body import Beginning
 from services.robot.gate import OPERATOR_S
 from tests.services.conftest import RunNode
-from tests.services.robot.wheels import Robot, run_robot
+from tests.services.robot.wheels import Policy, Robot, run_robot
 from tests.services.waiting import collected, eventually, status_of
 
 RUN = ResetRequest(seed=1, purpose="run", driver="policy", mode="realtime")
@@ -101,8 +100,6 @@ def test_stop_is_repeated_when_the_robot_is_silent(settings: ServiceSettings, cl
         assert node.spin(lambda: len(stops) >= 3, 100.0)
 
 
-# -- presence ---------------------------------------------------------------------------------------------------------
-
 attended = pytest.mark.parametrize("robot", [True], indirect=True, ids=["attended"])
 
 
@@ -154,11 +151,7 @@ def test_robot_that_opens_a_world_misses_only_a_lost_operator(
         return begin(request)
 
     monkeypatch.setattr(robot.wheels, "begin", open_world)
-    policy = Node("policy", settings)
-    policy.subscribe(
-        APPLIED, lambda applied: Command.after(applied, source="policy", atom="forward")
-    )
-    run_node(policy)
+    Policy(settings, run_node)
 
     def open_it() -> None:
         opening.clear()

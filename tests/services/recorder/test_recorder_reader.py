@@ -41,18 +41,10 @@ def test_recording_is_unchanged_when_read_back(tmp_path: Path) -> None:
     recording = read_messages(tmp_path, list(episode("drive-1", purpose="recovery")))
     (read,) = recording.episodes
     assert (recording.truncated, recording.bad) == (False, 0)
-    assert (read.robot, read.episode, read.world, read.seed) == (
-        "rescuebot",
-        "drive-1",
-        "campus",
-        7,
-    )
-    assert (read.purpose, read.driver, read.outcome, read.end_tick) == (
-        "recovery",
-        "expert",
-        "found",
-        4,
-    )
+    place = (read.robot, read.episode, read.world, read.seed)
+    assert place == ("rescuebot", "drive-1", "campus", 7)
+    course = (read.purpose, read.driver, read.outcome, read.end_tick)
+    assert course == ("recovery", "expert", "found", 4)
     assert sorted(read.poses) == list(range(5))
     assert read.poses[2].x_m == 3.0
     (piece,) = read.pieces()

@@ -13,7 +13,7 @@ import pytest
 
 from schemas.base import Message
 from schemas.rpc import Nothing, RecordReply, RecordRequest
-from services.kit.bus import Bus, Router, RpcError
+from services.kit.bus import Bus, RpcError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.recorder.disk import LEAST_BYTES, Disk
@@ -188,14 +188,9 @@ def test_a_full_disk_ends_the_file_and_not_the_recorder(
 @pytest.fixture
 def process(router_endpoint: str, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     command = [
-        sys.executable,
-        "-m",
-        "services.recorder",
-        "--router",
-        router_endpoint,
-        "--recordings",
+        sys.executable, "-m", "services.recorder", "--router", router_endpoint, "--recordings",
         str(tmp_path),
-    ]
+    ]  # fmt: skip
     child = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     yield child
     child.kill()
@@ -274,28 +269,6 @@ def test_recorder_keeps_all_messages_when_killed_and_restarted(
     repair([tmp_path / "killed.mcap", tmp_path / "killed-2.mcap"], tmp_path / "whole.mcap")
     assert contents(tmp_path / "whole.mcap") == wanted(killed)
     assert verify(tmp_path / "whole.mcap").findings == []
-
-
-def test_leftover_is_sealed_when_its_episode_continues(
-    settings: ServiceSettings, tmp_path: Path
-) -> None:
-    sent = list(episode("e", frames=2))
-    over = list(episode("over", frames=2))
-    leave(tmp_path, sent[:20])
-    leave(tmp_path, over)
-    (tmp_path / "bad.mcap.partial").write_bytes(b"holiday pictures")
-    with Node("recorder", settings) as node:
-        recorder = RecorderService(node, tmp_path, tmp_path)
-        for message in (*over, *sent):
-            recorder.handle(message)
-        recorder.close()
-    names = ["bad.mcap.partial", "e-2.mcap", "e.mcap", "over.mcap"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == names, (
-        "of what was over nothing is recorded again"
-    )
-    assert contents(tmp_path / "e.mcap") == wanted(sent[:20])
-    assert contents(tmp_path / "e-2.mcap") == wanted(sent)
-    assert contents(tmp_path / "over.mcap") == wanted(over)
 
 
 def test_recording_goes_on_when_the_recorder_is_restarted(
@@ -379,33 +352,6 @@ def test_drive_is_sealed_before_the_disk_is_full(
         recorder.close()
     assert (tmp_path / "last.mcap").exists()
     assert not (tmp_path / "next.mcap").exists()
-
-
-def test_an_outage_of_the_router_leaves_no_gap(free_endpoint: str, tmp_path: Path) -> None:
-    router = Router(free_endpoint)
-    node = Node("recorder", ServiceSettings(router=free_endpoint))
-    RecorderService(node, tmp_path, tmp_path)
-    thread = threading.Thread(target=node.spin)
-    thread.start()
-    sender = Bus("rescuebot", free_endpoint)
-    try:
-        introduce(sender, "recorder", *introductions())
-        sent = list(episode("out", frames=60))
-        publish(sender, sent[:100])
-        router.close()
-        eventually(lambda: not sender.connected() and not node.bus.connected())
-        publish(sender, sent[100:400])
-        router = Router(free_endpoint)
-        sender.wait_connected(5.0)
-        publish(sender, sent[400:])
-        eventually((tmp_path / "out.mcap").exists, timeout_s=100.0)
-        assert contents(tmp_path / "out.mcap") == wanted(sent)
-    finally:
-        node.stop()
-        thread.join(100.0)
-        node.close()
-        sender.close()
-        router.close()
 
 
 def test_an_episode_that_never_ends_is_closed_by_the_next(

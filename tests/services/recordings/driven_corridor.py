@@ -48,15 +48,8 @@ def told(tick: int) -> list[Message]:
 
 def event(tick: int, name: str, **more: object) -> Episode:
     """Return an event of the drive."""
-    fields = {
-        "event": name,
-        "purpose": "drive",
-        "driver": "teleop",
-        "world": "corridor",
-        "seed": 0,
-        "goal": "end",
-    }
-    return Episode.after(header(tick), **fields, **more)
+    fields = {"event": name, "purpose": "drive", "driver": "teleop", "seed": 0, "goal": "end"}
+    return Episode.after(header(tick), **fields, world="corridor", **more)
 
 
 def record(folder: Path, frames: int = FRAMES) -> Path:

@@ -37,14 +37,8 @@ def event(
     purpose: Purpose = "drive",
     seed: int = 7,
 ) -> Episode:
-    fields = {
-        "event": name,
-        "purpose": purpose,
-        "driver": "expert",
-        "world": "campus",
-        "seed": seed,
-    }
-    return Episode.after(header(episode, tick), **fields, outcome=outcome)
+    fields = {"event": name, "purpose": purpose, "seed": seed, "outcome": outcome}
+    return Episode.after(header(episode, tick), **fields, driver="expert", world="campus")
 
 
 def pixels(tick: int) -> NDArray[np.uint8]:

@@ -37,7 +37,6 @@ from tests.services.recordings.test_recorder_files import (
 def mended(path: Path, out: Path) -> Path:
     """Repair; return what came of it, which has no damage any more."""
     _, after = repair([path], out)
-    assert after is not None
     assert (after.state, after.damage) == ("sealed", [])
     check(out)
     return out
@@ -50,12 +49,8 @@ def test_info_lists_contents_of_a_recording(tmp_path: Path) -> None:
     assert (contents.state, contents.size, contents.findings) == ("sealed", path.stat().st_size, [])
     assert (one.robot, one.episode) == ("teacher", "drive-corridor")
     assert one.said == {
-        "world": "corridor",
-        "seed": 0,
-        "purpose": "drive",
-        "goal": "end",
-        "driver": "teleop",
-    }
+        "world": "corridor", "seed": 0, "purpose": "drive", "goal": "end", "driver": "teleop",
+    }  # fmt: skip
     assert (one.outcome, one.judge) == ("found", "operator")
     assert one.drove == {"teleop": 30}
     assert (one.frames, one.seconds) == (30, pytest.approx(2.914))
@@ -65,14 +60,10 @@ def test_info_lists_contents_of_a_recording(tmp_path: Path) -> None:
     counts = {name: topic.messages for name, topic in one.topics.items()}
     assert counts == Counter(
         {
-            "camera/jpeg": 30,
-            "odometry": 30,
-            "command/applied": 30,
-            "command/teleop": 30,
-            "camera/info": 1,
-            "episode": 2,
+            "camera/jpeg": 30, "odometry": 30, "command/applied": 30, "command/teleop": 30,
+            "camera/info": 1, "episode": 2,
         }
-    )
+    )  # fmt: skip
     assert one.topics["odometry"].rate_hz == pytest.approx(29 / 2.914)
 
 
@@ -137,7 +128,6 @@ def seconds_of(path: Path) -> list[tuple[int, int, int]]:
     """Return where the chunks of a recording begin and end, and how many messages of ours are in each."""
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
-    assert summary is not None
     own = {number for number, channel in summary.channels.items() if not is_view(channel.topic)}
     found = []
     for one in summary.chunk_indexes:

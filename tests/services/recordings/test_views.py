@@ -67,7 +67,6 @@ def views_of(path: Path) -> dict[str, list[Any]]:
     with path.open("rb") as file:
         for schema, channel, stored in make_reader(file).iter_messages(log_time_order=False):
             if topic_of(channel.topic) is None:
-                assert schema is not None
                 message = GetMessageClass(described(schema.data, schema.name)).FromString(
                     stored.data
                 )
@@ -183,7 +182,6 @@ def test_layout_shows_recorded_topics(path: Path, tmp_path: Path) -> None:
     layout = json.loads(LAYOUT.read_text())
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
-    assert summary is not None
     written = {
         channel.topic.replace("/teacher/", "/rescuebot/") for channel in summary.channels.values()
     }

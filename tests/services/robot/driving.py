@@ -12,6 +12,7 @@ from services.robot.gate import CommandGate
 from services.robot.loop import PERIOD_S
 from services.robot.pace import Pace, RealTime
 from services.robot.runner import EpisodeRunner
+from services.robot.task import Task
 from services.simulator.body import SimulatedBody
 from services.simulator.lockstep import Lockstep
 from services.simulator.sensors.camera import FindVictim, SimulatedView
@@ -38,7 +39,10 @@ def armed(*, attended: bool = False) -> CommandGate:
 
 
 def runner_of(
-    body: LineBody, gate: CommandGate | None = None, wall_clock_ns: Callable[[], int] = lambda: 5
+    body: LineBody,
+    gate: CommandGate | None = None,
+    wall_clock_ns: Callable[[], int] = lambda: 5,
+    task: Task[LineView] | None = None,
 ) -> Runner:
     """Return a runner that knows lockstep, and real time by the body's clock."""
     gate = gate or armed()
@@ -49,7 +53,7 @@ def runner_of(
     }
     runner: Runner = EpisodeRunner(
         body,
-        Reach(),
+        task or Reach(),
         gate,
         "r",
         "s",

@@ -223,5 +223,5 @@ class GateMachine(RuleBasedStateMachine):
         assert self.gate.answered(self.tick) == (mine[-1:] == [self.tick])
 
 
-GateMachine.TestCase.settings = settings(max_examples=150, stateful_step_count=40, deadline=None)
+GateMachine.TestCase.settings = settings(max_examples=75, stateful_step_count=40, deadline=None)
 TestGateMachine: Callable[[], object] = GateMachine.TestCase

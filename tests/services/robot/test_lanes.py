@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import pytest
 
 from schemas.base import KEYS
-from schemas.command import Command, CommandApplied
+from schemas.command import Command
 from schemas.rpc import ArmRequest, Nothing, ResetReply
-from schemas.topics import APPLIED, Lane
+from schemas.topics import Lane
 from services.kit.bus import Bus
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
@@ -18,7 +18,7 @@ from services.robot.loop import STAND_WITHIN_S
 from tests.benchmarks.faults.proxy import Harm, Link, link
 from tests.services.conftest import RunNode
 from tests.services.operator.test_operator import DRIVE, RUN
-from tests.services.robot.wheels import Robot, run_robot
+from tests.services.robot.wheels import Policy, Robot, run_robot
 from tests.services.waiting import Lost, eventually
 
 pytestmark = pytest.mark.zenoh
@@ -39,20 +39,6 @@ def way(router_endpoint: str) -> Iterator[Link]:
 @pytest.fixture
 def far(settings: ServiceSettings, way: Link) -> ServiceSettings:
     return settings.model_copy(update={"router": way.address})
-
-
-class Policy:
-    """A policy that drives ahead whatever happens, by the frames that it knows of."""
-
-    def __init__(self, settings: ServiceSettings, run_node: RunNode) -> None:
-        self.applied: list[CommandApplied] = []
-        self._node = Node("policy", settings)
-        self._node.subscribe(APPLIED, self._answer)
-        run_node(self._node)
-
-    def _answer(self, applied: CommandApplied) -> Command:
-        self.applied.append(applied)
-        return Command.after(applied, source="policy", atom="forward")
 
 
 def drive(client: Bus, robot: Robot) -> None:

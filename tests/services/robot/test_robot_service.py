@@ -1,4 +1,4 @@
-"""The robot on the bus: one robot for each id, operators that are lost, worlds that open."""
+"""The robot on the bus: one robot for each id, forged commands, lost operators, opening worlds."""
 
 import itertools
 import os
@@ -8,10 +8,12 @@ import time
 
 import pytest
 
+from schemas.base import SOURCES
+from schemas.codec import encode, encoding_of
 from schemas.command import Command
 from schemas.heartbeat import Pulse
 from schemas.rpc import ArmRequest, CancelRequest, Nothing, ResetReply, ResetRequest
-from schemas.topics import APPLIED, PULSE
+from schemas.topics import COMMANDS, HEARTBEAT, PULSE
 from services.kit.bus import Bus, RpcError
 from services.kit.going_on import each
 from services.kit.node import Node, ServiceError
@@ -19,16 +21,19 @@ from services.kit.settings import ServiceSettings
 from services.operator.operator import POLL_S, Operator
 from services.robot import service
 from services.robot.body import Beginning
+from services.robot.clock import now_s
 from services.robot.gate import CommandGate
-from services.robot.loop import STAND_WITHIN_S
+from services.robot.loop import STAND_WITHIN_S, check_stopping
 from services.robot.runner import EpisodeRunner
 from services.robot.service import RobotService, RobotSettings, serve_robot
 from services.robot.task import OperatorsTask
 from tests.benchmarks.faults.proxy import link
 from tests.services.conftest import RunNode
-from tests.services.operator.test_operator import RUN
-from tests.services.robot.wheels import Wheels, run_robot
-from tests.services.waiting import Lost, eventually, status_of
+from tests.services.kit.test_refusals import stranger
+from tests.services.operator.test_operator import RUN, asked
+from tests.services.robot.line import LineBody
+from tests.services.robot.wheels import Policy, Wheels, run_robot
+from tests.services.waiting import Lost, eventually, ready, status_of
 
 
 @pytest.mark.zenoh
@@ -36,28 +41,15 @@ def test_operator_is_lost_when_the_link_grows_slow(
     settings: ServiceSettings, router_endpoint: str, run_node: RunNode, client: Bus, lost_s: Lost
 ) -> None:
     robot = run_robot(settings, run_node, attended=True)
-    policy = Node("policy", settings)
-    policy.subscribe(
-        APPLIED, lambda applied: Command.after(applied, source="policy", atom="forward")
-    )
-    run_node(policy)
+    Policy(settings, run_node)
     with link(router_endpoint) as way:
         far = settings.model_copy(update={"router": way.address})
         with Node("teleop", far) as node:
             operator = Operator(node, (said := []).append)
             node.every(POLL_S, operator.poll)
 
-            def drives() -> bool:
-                """Ask again where a busy machine missed the operator for a moment."""
-                if (
-                    operator.mine is None
-                    and not operator.asking
-                    and operator.commands.to_release is not None
-                ):
-                    operator.begin(RUN)
-                return robot.wheels.driven
-
-            assert node.spin(drives, 100.0), said
+            assert node.spin(lambda: operator.commands.to_release is not None, 100.0)
+            assert node.spin(asked(operator, RUN, lambda: robot.wheels.driven), 100.0), said
             os.kill(way.pid, signal.SIGUSR1)
             node.spin(timeout_s=3.0)  # then the link takes 1.5 s each way
             dead_s = time.monotonic()
@@ -232,3 +224,42 @@ def test_only_requester_or_operator_cancels_an_opening_world(
         thread.join(100.0)
     reply = client.call("robot", "reset", ResetRequest(seed=1, mode="realtime"), ResetReply)
     assert reply.world == "line", "it takes the next request"
+
+
+class Body(LineBody):
+    braking_s = 0.1
+
+
+@pytest.mark.zenoh
+def test_no_forged_command_reaches_the_gate(
+    settings: ServiceSettings, router_endpoint: str, run_node: RunNode, client: Bus
+) -> None:
+    """Any message on the key of the emergency stop stops the robot, however malformed."""
+    body = Body(now_s)
+    gate = CommandGate(first_stop=7)
+    check_stopping(body)
+    node = Node("robot", settings)
+    RobotService(EpisodeRunner(body, OperatorsTask(), gate, settings.robot, "s"), node)
+    run_node(node)
+    ready(client, "robot")
+    encoding = encoding_of(Command)
+    latched = gate.emergency_stop
+    with stranger(router_endpoint) as session:
+        for source in SOURCES:
+            key = COMMANDS[source].key("rescuebot")
+            command = Command(
+                robot="rescuebot", episode="e", tick=1, stamp_ns=0, source=source, atom="forward"
+            )
+            session.put("**", encode(command), encoding=encoding)
+            session.delete(key)
+            session.put(key, encode(command), encoding="application/json")
+            session.put(key, bytes(2_000), encoding=encoding)
+        each = {COMMANDS[source].name: len(SOURCES) + 3 for source in SOURCES}
+        each |= {topic.name: len(SOURCES) for topic in (HEARTBEAT, PULSE)}
+        eventually(
+            lambda: (status := status_of(client, "robot")) is not None and status.bad == each
+        )
+    status = status_of(client, "robot")
+    assert set(status.received) <= {PULSE.name}  # its own
+    assert gate.emergency_stop == latched + each[COMMANDS["emergency_stop"].name]
+    assert gate.stop_cause == "emergency_stop"

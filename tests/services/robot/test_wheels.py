@@ -63,7 +63,6 @@ def test_wheels_contradict_when_odometry_lies(
     order: Velocity, report: float, most_s: float
 ) -> None:
     found = compare([order] * 40, report)
-    assert found is not None
     share = max(map(abs, order))
     assert found[0] * share <= most_s
     assert "does not follow the commands" in found[1]

@@ -5,13 +5,11 @@ from typing import get_args
 import pytest
 
 from schemas.command import StopCause
-from schemas.episode import Episode
-from schemas.heartbeat import Heartbeat
 from schemas.rpc import ArmRequest, EndRequest, ResumeRequest
 from services.kit.node import ServiceError
-from services.robot.gate import CommandGate
-from services.robot.runner import CLIENT_S, EpisodeRunner
+from services.robot.runner import CLIENT_S
 from services.robot.task import OperatorsTask
+from tests.services.robot import gating
 from tests.services.robot.driving import Runner, advance, answer, begin, reset, runner_of
 from tests.services.robot.line import Clock, LineBody
 
@@ -19,16 +17,8 @@ from tests.services.robot.line import Clock, LineBody
 def beat(
     runner: Runner, session: str, sequence: int = 0, *, operator: bool = False, present: bool = True
 ) -> None:
-    header = {
-        "robot": "r",
-        "episode": "e",
-        "tick": 0,
-        "stamp_ns": 0,
-        "session": session,
-        "name": "desk",
-    }
     answers = runner.pulse().number if operator else None
-    runner.hear(Heartbeat(**header, sequence=sequence, answers=answers, present=present))
+    runner.hear(gating.beat(session, sequence, answers, present=present))
 
 
 @pytest.mark.parametrize("cause", get_args(StopCause))
@@ -62,7 +52,6 @@ def test_after_a_stop_the_driver_goes_on_when_it_is_told_to() -> None:
     with pytest.raises(ServiceError, match="a person has taken over"):
         reset(runner, driver="policy")
     run = runner.running
-    assert run is not None
     with pytest.raises(
         ServiceError, match="another episode has begun, or the person has commanded since"
     ):
@@ -143,7 +132,6 @@ def test_only_the_operator_begins_an_episode_after_a_takeover() -> None:
 
 def test_the_end_of_its_episode_does_not_undo_a_takeover() -> None:
     runner = taken_over()
-    assert runner.running is not None
     with pytest.raises(ServiceError, match=HELD):
         runner.end_by(EndRequest(episode=runner.running.id, session="b"))
     runner.end_by(EndRequest(episode=runner.running.id, session="a"))
@@ -172,7 +160,6 @@ def test_episode_that_an_operator_drives_is_protected() -> None:
     runner, _ = begin(LineBody(Clock()), session="o", driver="teleop", mode="realtime")
     beat(runner, "o", operator=True)
     run = runner.running
-    assert run is not None
     with pytest.raises(ServiceError, match=HELD):
         runner.end_by(EndRequest(episode=run.id, session="b"))
     with pytest.raises(ServiceError, match=HELD):
@@ -196,22 +183,15 @@ def test_lost_operator_stops_the_robot_in_every_mode() -> None:
 
 
 def test_goal_is_found_when_the_operator_reports_it() -> None:
-    body = LineBody(Clock())
-    gate = CommandGate(first_stop=1)
-    runner: Runner = EpisodeRunner(
-        body, OperatorsTask(), gate, "r", "s", paces=runner_of(body)._paces
-    )
-    runner.arm(ArmRequest(stop=1))
+    runner = runner_of(LineBody(Clock()), task=OperatorsTask())
     reset(runner, purpose="drive", driver="teleop")
     run = runner.running
-    assert run is not None
     beat(runner, "o", operator=True)
     with pytest.raises(ServiceError, match=HELD):
         runner.end_by(EndRequest(episode=run.id, found=True, session="x"))
     with pytest.raises(ServiceError, match="episode other is not running"):
         runner.end_by(EndRequest(episode="other", found=True, session="o"))
     (ended,) = runner.end_by(EndRequest(episode=run.id, found=True, session="o"))
-    assert isinstance(ended, Episode)
     assert (ended.outcome, ended.judge) == ("found", "operator")
     with pytest.raises(ServiceError, match="is not running"):
         runner.end_by(EndRequest(episode=run.id))

@@ -4,6 +4,8 @@ import time
 from dataclasses import dataclass
 
 from schemas.base import Atom, Velocity
+from schemas.command import Command, CommandApplied
+from schemas.topics import APPLIED
 from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.robot.clock import now_s
@@ -57,3 +59,17 @@ def run_robot(settings: ServiceSettings, run_node: RunNode, *, attended: bool) -
     RobotService(EpisodeRunner(wheels, OperatorsTask(), gate, settings.robot, "s"), node)
     run_node(node)
     return Robot(wheels, gate)
+
+
+class Policy:
+    """A policy that drives ahead whatever happens, by the frames that it knows of."""
+
+    def __init__(self, settings: ServiceSettings, run_node: RunNode) -> None:
+        self.applied: list[CommandApplied] = []
+        self._node = Node("policy", settings)
+        self._node.subscribe(APPLIED, self._answer)
+        run_node(self._node)
+
+    def _answer(self, applied: CommandApplied) -> Command:
+        self.applied.append(applied)
+        return Command.after(applied, source="policy", atom="forward")

@@ -38,9 +38,5 @@ def test_a_wall_ends_the_episode_with_a_penalty() -> None:
         _, reward, terminated, truncated, info = env.step(np.int64(FORWARD))
         if terminated:
             break
-    assert (reward, terminated, truncated, info["outcome"]) == (
-        COLLISION_REWARD,
-        True,
-        False,
-        "collision",
-    )
+    end = (reward, terminated, truncated, info["outcome"])
+    assert end == (COLLISION_REWARD, True, False, "collision")

@@ -43,8 +43,6 @@ def drive(world: World) -> Iterator[Pose]:
 @pytest.mark.rendering
 def test_tracked_drive_is_within_3_cm_and_2_degrees() -> None:
     world = load_world("indoor")
-    assert world.place.overhead is not None
-    assert TURTLEBOT.tag is not None
     camera = SceneCamera(world, CameraSettings(width=64, height=48))
     tracker = TrackerService(
         Tag(TURTLEBOT.tag.number, TURTLEBOT.tag.side_m, TURTLEBOT.tag.height_m)
@@ -57,8 +55,5 @@ def test_tracked_drive_is_within_3_cm_and_2_degrees() -> None:
             overhead_message(header, camera.overhead(pose), world.place.overhead)
         )
         assert found.visible, pose
-        assert found.x_m is not None
-        assert found.y_m is not None
-        assert found.heading_rad is not None
         assert math.dist((found.x_m, found.y_m), (pose.x, pose.y)) < 0.03
         assert abs(math.degrees(math.remainder(found.heading_rad - pose.heading, math.tau))) < 2.0

@@ -32,12 +32,8 @@ class FakeSimulator:
     """Begins an episode in the world "campus", with decisions of some kinds, and ends it at tick 4 when asked to."""
 
     decisions = (
-        ("follow", 4),
-        ("look_around", None),
-        ("guess", 5),
-        ("stop", 5),
-        ("look_around", None),
-    )
+        ("follow", 4), ("look_around", None), ("guess", 5), ("stop", 5), ("look_around", None),
+    )  # fmt: skip
     outcome: Outcome = "found"
     stop_cause: str | None = "not_armed"
     attended = False

@@ -11,7 +11,11 @@ from services.kit.bus import Bus, RpcError
 from services.kit.errors import UsageError
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
+from services.recorder.disk import Disk
+from services.recorder.service import RecorderService
 from tests.services.conftest import RunNode
+from tests.services.recordings.recorded_messages import event, image
+from tests.services.waiting import eventually, introduce, ready
 
 
 class FakeRecorder:
@@ -100,3 +104,25 @@ def test_record_reports_folder_when_recorder_writes_elsewhere(
     assert recorder.told == []
     with recording(client, tmp_path, "--out"):
         assert recorder.told == ["start "]
+
+
+def test_command_reports_cause_when_recording_is_empty(
+    settings: ServiceSettings,
+    run_node: RunNode,
+    client: Bus,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    node = Node("recorder", settings)
+    RecorderService(node, tmp_path, disk=Disk(lambda: 0.0, lambda _: 0))
+    run_node(node)
+    introduce(client, "recorder", event("nobody", 0, "ended", "aborted"), image("nobody", 0))
+    with recording(client, tmp_path / "runs", "--record") as files:
+        client.publish(event("e", 0, "started"))
+        eventually(lambda: ready(client, "recorder").detail["recording"])
+        client.publish(image("e", 0))
+        eventually(lambda: ready(client, "recorder").detail["lost"])
+    assert files == []
+    assert "messages (cannot record episode e: disk full (0 MB free); recording stopped)" in (
+        capsys.readouterr().out
+    )

@@ -12,7 +12,6 @@ from schemas.camera import CompressedImage
 from schemas.command import Command
 from schemas.episode import Episode, Purpose
 from schemas.motion import Odometry, TruePose
-from schemas.observation import Observation
 from schemas.rpc import ResetRequest, Scheme
 from services.experiments.evaluation.search import search
 from services.features.service import FeaturesService
@@ -60,7 +59,6 @@ def by_services(
                 if isinstance(said, Command):
                     runner.offer(said)
                     waiting.extend(runner.poll())
-    assert end is not None
     return end, np.array(poses), answers
 
 
@@ -85,7 +83,6 @@ def test_search_is_bit_identical_in_process_and_in_services(
     def answer(message: CompressedImage | Odometry) -> Iterator[Message]:
         if isinstance(message, CompressedImage):
             observation = features.handle(message)
-            assert isinstance(observation, Observation)
             state = recognition.handle(observation)
         else:
             state = recognition.see(message)

@@ -68,13 +68,11 @@ def test_grey_alpha_and_16_bits(tmp_path: Path) -> None:
     image = picture()
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     read = read_color(write(tmp_path / "grey.png", grey))
-    assert read is not None
     np.testing.assert_array_equal(read, np.repeat(grey[..., None], 3, axis=2))
 
     deep = image.astype(np.uint16) * 256 + 77
     for suffix in (".png", ".tif"):
         read = read_color(write(tmp_path / f"deep{suffix}", deep))
-        assert read is not None
         assert read.dtype == np.uint8
         np.testing.assert_allclose(read.astype(int), image, atol=1)  # codecs round or cut off
 
@@ -83,14 +81,12 @@ def test_grey_alpha_and_16_bits(tmp_path: Path) -> None:
     )
     (tmp_path / "alpha.png").write_bytes(cv2.imencode(".png", transparent)[1].tobytes())
     read = read_color(tmp_path / "alpha.png")
-    assert read is not None
     np.testing.assert_array_equal(read, image)
 
 
 def test_depth_is_16_bit_and_of_one_channel(tmp_path: Path) -> None:
     depth_mm = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64) * 20
     read = read_depth(write(tmp_path / "depth.png", depth_mm))
-    assert read is not None
     np.testing.assert_array_equal(read, depth_mm)
     assert read_depth(write(tmp_path / "eight.png", (depth_mm // 256).astype(np.uint8))) is None
     assert read_depth(write(tmp_path / "colour.png", picture().astype(np.uint16))) is None

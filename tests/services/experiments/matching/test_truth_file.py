@@ -54,44 +54,29 @@ def test_files_of_spreadsheets_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "line 1: needs the column query once; the columns are ''"),
-        (HEADER.encode() + b"0,,\n", "no query has a reference; nothing to find"),
-        (
-            b"query,reference_first\n0,1\n",
-            "line 1: needs the column reference_last once; the columns are 'query,ref",
-        ),
-        (b"0,1,2\n", "line 1: needs the column query once; the columns are '0,1,2'"),
-        (b"query,query,reference_first,reference_last\n", "line 1: needs the column query once"),
-        (
-            HEADER.encode() + b"0,1,2\n1,x,2\n",
-            "line 3: reference_first must be a frame's number, .* got 'x'",
-        ),
-        (
-            HEADER.encode() + b"-1,1,2\n",
-            "line 2: query must be a frame's number, counted from 0, got '-1'",
-        ),
-        (HEADER.encode() + b"1_0,1,2\n", "line 2: query must be a frame's number"),
-        (HEADER.encode() + "٣,1,2\n".encode(), "line 2: query must be a frame's number"),
-        (HEADER.encode() + b"0,\x1b[2J,2\n", r"line 2: reference_first must be .* got '\?\[2J'"),
-        (HEADER.encode() + b"0,3,2\n", "line 2: reference_first 3 is after reference_last 2"),
-        (
-            HEADER.encode() + b"0,1,5\n",
-            "line 2: reference_last 5 is too large: the traverse has 5 frames",
-        ),
-        (HEADER.encode() + b"\n4,1,2\n", "line 3: query 4 is too large: the traverse has 4 frames"),
-        (HEADER.encode() + b"0,1,2\n1,1,2\n0,,\n", "line 4: query 0 has several rows"),
-        (
-            HEADER.encode() + b"0,1\n",
-            "line 2: reference_last must be a frame's number, counted from 0, got ''",
-        ),
-        (HEADER.encode() + b"0,1,2,3\n", "line 2: has more values than columns"),
-        (HEADER.encode() + b'0,"1,2\n1,2,2\n', "line 3: unexpected end of data"),
-        (HEADER.encode() + b"0,1,2\n1,\xff,2\n", "not UTF-8"),
+        ("", "line 1: needs the column query once; the columns are ''"),
+        ("query,reference_first\n0,1\n", "line 1: needs the column reference_last once"),
+        ("0,1,2\n", "line 1: needs the column query once; the columns are '0,1,2'"),
+        ("query,query,reference_first,reference_last\n", "line 1: needs the column query once"),
+        (HEADER + "0,,\n", "no query has a reference; nothing to find"),
+        (HEADER + "0,1,2\n1,x,2\n", "line 3: reference_first must be a frame's .* got 'x'"),
+        (HEADER + "-1,1,2\n", "line 2: query must be a frame's number, counted .* got '-1'"),
+        (HEADER + "1_0,1,2\n", "line 2: query must be a frame's number"),
+        (HEADER + "٣,1,2\n", "line 2: query must be a frame's number"),
+        (HEADER + "0,\x1b[2J,2\n", r"line 2: reference_first must be .* got '\?\[2J'"),
+        (HEADER + "0,3,2\n", "line 2: reference_first 3 is after reference_last 2"),
+        (HEADER + "0,1,5\n", "line 2: reference_last 5 is too large: the traverse has 5 frames"),
+        (HEADER + "\n4,1,2\n", "line 3: query 4 is too large: the traverse has 4 frames"),
+        (HEADER + "0,1,2\n1,1,2\n0,,\n", "line 4: query 0 has several rows"),
+        (HEADER + "0,1\n", "line 2: reference_last must be a frame's number, .* got ''"),
+        (HEADER + "0,1,2,3\n", "line 2: has more values than columns"),
+        (HEADER + '0,"1,2\n1,2,2\n', "line 3: unexpected end of data"),
+        (HEADER + "0,1,2\n1,\udcff,2\n", "not UTF-8"),
     ],
 )
-def test_a_bad_file_is_refused_in_one_line(tmp_path: Path, content: bytes, message: str) -> None:
+def test_a_bad_file_is_refused_in_one_line(tmp_path: Path, content: str, message: str) -> None:
     path = tmp_path / "truth.csv"
-    path.write_bytes(content)
+    path.write_bytes(content.encode("utf-8", "surrogateescape"))
     with pytest.raises(UsageError, match=message) as caught:
         read_truth(path, 4, 5)
     assert str(caught.value).startswith(f"--truth {path}: ")
