@@ -150,7 +150,12 @@ class Scene:
     distance: float
 
     def warp(
-        self, image: Image, ahead: float = 0.0, left: float = 0.0, turn_rad: float = 0.0
+        self,
+        image: Image,
+        ahead: float = 0.0,
+        left: float = 0.0,
+        turn_rad: float = 0.0,
+        shape: tuple[int, int] | None = None,
     ) -> Image:
         """Return the view from a pose ahead and left of the camera, and turned left.
 
@@ -160,16 +165,34 @@ class Scene:
         ahead, left : float
             Step, in the unit of the scene.
         turn_rad : float
+        shape : (int, int), optional
+            Rows and columns of the view; by default those of the image.
         """
-        return remapped(image, self.maps(image.shape[:2], ahead, left, turn_rad))
+        return remapped(image, self.maps(image.shape[:2], (ahead, left, turn_rad), shape))
 
-    def maps(self, shape: tuple[int, ...], ahead: float, left: float, turn_rad: float) -> Maps:
-        """Return the position of each pixel of the other view in an image of this shape, for `remapped`."""
+    def maps(
+        self,
+        shape: tuple[int, ...],
+        step: tuple[float, float, float],
+        view: tuple[int, int] | None = None,
+    ) -> Maps:
+        """Return the position of each pixel of a view in an image of this shape, for `remapped`.
+
+        Parameters
+        ----------
+        shape : (int, int)
+            Rows and columns of the image.
+        step : (float, float, float)
+            Pose of the view from the camera: ahead, left, and turned left in radians.
+        view : (int, int), optional
+            Rows and columns of the view; by default those of the image.
+        """
         import cv2  # noqa: PLC0415 - processes that only read models have no OpenCV
 
         focal = self.camera.focal * shape[1]
         middle_u, middle_v = self.camera.middle(shape)
-        x, y, z = self.camera.rays(shape)
+        x, y, z = self.camera.rays(view or shape)
+        ahead, left, turn_rad = step
         cos = math.cos(turn_rad)
         sin = math.sin(turn_rad)
         # The ray of each pixel, in axes of the camera that took the image.
