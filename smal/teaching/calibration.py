@@ -52,8 +52,6 @@ class CalibrationConfig:
     reach: float = 0.2
     #: Frames of a drive that are compared: the time grows with the square, a millisecond each.
     most_frames: int = 1000
-    #: Rows and columns of warped views.
-    pixels: tuple[int, int] = PIXELS
 
 
 CALIBRATION_CONFIG: Final = CalibrationConfig()
@@ -92,6 +90,8 @@ class TaughtFrames:
     odometry : bool
     camera : Camera, optional
         The given camera, or the camera of the turn measurement.
+    pixels : (int, int)
+        Rows and columns of an image at which `describe` looks.
     """
 
     images: Sequence[Image]
@@ -103,6 +103,7 @@ class TaughtFrames:
     odometry: bool = True
     camera: Camera | None = None
     config: CalibrationConfig = CALIBRATION_CONFIG
+    pixels: tuple[int, int] = PIXELS
 
     @cached_property
     def car(self) -> bool:
@@ -139,7 +140,7 @@ class TaughtFrames:
     def best(self, scenes: Sequence[Scene], pairs: Sequence[_Pair]) -> Scene:
         """Return the scene that predicts the second views of pairs best from the first."""
         guesses = [(scene, 1.0) for scene in scenes]
-        scene, _ = _best(self.images, self.describe, guesses, pairs, self.config)
+        scene, _ = _best(self.images, self.describe, guesses, pairs, self.config.pairs, self.pixels)
         return scene
 
 
@@ -148,10 +149,11 @@ def _best(
     describe: Describe,
     guesses: Sequence[tuple[Scene, float]],
     pairs: Sequence[_Pair],
-    config: CalibrationConfig,
+    most: int,
+    pixels: tuple[int, int],
 ) -> tuple[Scene, float]:
     """Return the scene and the unit of the steps that predict the second views of pairs best from the first."""
-    some = [pairs[k] for k in evenly(len(pairs), config.pairs)]
+    some = [pairs[k] for k in evenly(len(pairs), most)]
     firsts = [images[pair.frame] for pair in some]
     seconds = [describe([images[pair.other]])[0] for pair in some]
     steps = [pair.step for pair in some]
@@ -159,7 +161,7 @@ def _best(
     def score(guess: tuple[Scene, float]) -> float:
         scene, unit = guess
         warped = (
-            _warped(scene, image, [unit * part for part in step], config)
+            _warped(scene, image, [unit * part for part in step], pixels)
             for image, step in zip(firsts, steps, strict=True)
         )
         predicted = describe(warped)
@@ -170,9 +172,9 @@ def _best(
     return guesses[int(np.argmax(scores))]
 
 
-def _warped(scene: Scene, image: Image, step: Sequence[float], config: CalibrationConfig) -> Image:
+def _warped(scene: Scene, image: Image, step: Sequence[float], pixels: tuple[int, int]) -> Image:
     """Return the view a step ahead, left and turned from an image, as small as features need."""
-    return scene.warp(image, *step, shape=fitted(image.shape, config.pixels))
+    return scene.warp(image, *step, shape=fitted(image.shape, pixels))
 
 
 def _far(camera: Camera) -> Scene:
@@ -214,6 +216,7 @@ def turn_of_views(
     cameras: Sequence[Camera],
     describe: Describe,
     config: CalibrationConfig = CALIBRATION_CONFIG,
+    pixels: tuple[int, int] = PIXELS,
 ) -> tuple[Camera, float] | None:
     """Measure the turn of a turning atom, by the turn with which views predict each other best.
 
@@ -230,6 +233,8 @@ def turn_of_views(
     describe : callable
         Returns the centred features (n, m) of n images.
     config : CalibrationConfig
+    pixels : (int, int)
+        Rows and columns of an image at which `describe` looks.
 
     Returns
     -------
@@ -252,7 +257,7 @@ def turn_of_views(
         if not same.size:
             break
         turns = [_Pair(k, k + count, (0.0, 0.0, float(sign[k]))) for k in same.tolist()]
-        scene, turn_rad = _best(images, describe, guesses, turns, config)
+        scene, turn_rad = _best(images, describe, guesses, turns, config.pairs, pixels)
         found = scene.camera, turn_rad / count
     return found
 
@@ -332,9 +337,8 @@ def _length_of(way: Floats, cosine: AnyArray, unrelated: float) -> float:
 def compared_frames(count: int, most: int = CALIBRATION_CONFIG.most_frames) -> Indices:
     """Return the frames of a drive that `correlation_length` compares, at most about `most`.
 
-    Some pairs of them are near and some far apart.
-
-    They are evenly spread numbers, each followed by numbers at growing distances.
+    They are evenly spread numbers, each followed by numbers at growing distances, so that some
+    pairs are near and some far apart.
     """
     if count <= most:
         return np.arange(count)
@@ -352,7 +356,7 @@ def _turns_undone(frames: TaughtFrames, camera: Camera, pairs: Indices) -> tuple
     def cosine(pair: tuple[int, int, float]) -> float:
         one, other, turn_rad = pair
         step = (0.0, 0.0, turn_rad)
-        turned = _warped(_far(camera), frames.images[one], step, frames.config)
+        turned = _warped(_far(camera), frames.images[one], step, frames.pixels)
         (predicted,) = frames.describe([turned])
         (view,) = frames.centred([other])
         return float(predicted @ view)
@@ -371,7 +375,7 @@ def correlation_turn(frames: TaughtFrames, camera: Camera, unrelated: float) -> 
 
     def cosine(turn_rad: float) -> float:
         step = (0.0, 0.0, turn_rad)
-        turned = frames.describe(_warped(scene, image, step, frames.config) for image in images)
+        turned = frames.describe(_warped(scene, image, step, frames.pixels) for image in images)
         return float((own * turned).sum(axis=1).mean())
 
     mean = np.array([1.0, *in_parallel(cosine, _TURNS_RAD)])

@@ -5,7 +5,6 @@ Read `learn` from top to bottom.
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any, TypeVar
 
@@ -29,7 +28,6 @@ from smal.sought.learning import Box, Taught, learn_sight, learn_word
 from smal.sought.sight import Sight
 from smal.sought.word import Word
 from smal.teaching.calibration import (
-    CALIBRATION_CONFIG,
     USUAL_CAMERAS,
     TaughtFrames,
     compared_frames,
@@ -268,22 +266,22 @@ def _frames(
     """Concatenate drives, with poses by odometry or by the usual movements of atoms."""
     images = chained(list(_known(drive.images for drive in taught)))
     images = seen_by(images, centering.settings)
-    calibration = replace(CALIBRATION_CONFIG, pixels=centering.settings.pixels)
+    pixels = centering.settings.pixels
     cameras = list(_known(drive.camera for drive in taught))
     camera = cameras[0] if cameras else None
     atoms = [drive.atoms for drive in taught]
 
     centred = partial(_centred, centering, features)
     describe = partial(_described, centering)
-    wheels = _known(drive.odometry for drive in taught)
-    ways = [np.asarray(way, dtype=np.float64) for way in wheels]
+    poses = _known(drive.odometry for drive in taught)
+    ways = [np.asarray(way, dtype=np.float64) for way in poses]
     odometry = len(ways) == len(taught)
     if odometry:
         movements = atom_movements(ways, atoms)
     else:
         tried = tuple(cameras[:1]) or USUAL_CAMERAS
         usual = tried[0], math.radians(config.usual_turn_deg_s) * tick_s
-        camera, turn_rad = turn_of_views(images, atoms, tried, describe, calibration) or usual
+        camera, turn_rad = turn_of_views(images, atoms, tried, describe, pixels=pixels) or usual
         ahead = _ahead_in_turns(taught)
         movements = np.array(
             [[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [ahead, turn_rad], [ahead, -turn_rad]]
@@ -291,9 +289,16 @@ def _frames(
         ways = [dead_reckoning(drive, movements) for drive in atoms]
     numbers = np.arange(len(ways), dtype=np.int32)
     drives = np.repeat(numbers, [len(way) for way in ways])
-    poses = np.concatenate(ways)
     return TaughtFrames(
-        images, centred, poses, drives, describe, movements, odometry, camera, calibration
+        images,
+        centred,
+        np.concatenate(ways),
+        drives,
+        describe,
+        movements,
+        odometry,
+        camera,
+        pixels=pixels,
     )
 
 
