@@ -175,6 +175,7 @@ class Scene:
         shape: tuple[int, ...],
         step: tuple[float, float, float],
         view: tuple[int, int] | None = None,
+        pitch_rad: float = 0.0,
     ) -> Maps:
         """Return the position of each pixel of a view in an image of this shape, for `remapped`.
 
@@ -186,6 +187,8 @@ class Scene:
             Pose of the view from the camera: ahead, left, and turned left in radians.
         view : (int, int), optional
             Rows and columns of the view; by default those of the image.
+        pitch_rad : float
+            Angle by which the camera of the image points down. The view is level.
         """
         import cv2  # noqa: PLC0415 - processes that only read models have no OpenCV
 
@@ -205,6 +208,8 @@ class Scene:
         x = reach * right - left
         y = reach * y
         z = reach * deep + ahead
+        if pitch_rad:
+            y, z = _pitched(y, z, pitch_rad)
         off = np.maximum(np.sqrt(x * x + y * y), 1e-9)
         # Pixels far outside of the image repeat its border.
         angle = np.arctan2(off, z)
@@ -212,6 +217,13 @@ class Scene:
         columns = (radius * x + middle_u).astype(np.float32)
         rows = (radius * y + middle_v).astype(np.float32)
         return cv2.convertMaps(columns, rows, cv2.CV_16SC2)
+
+
+def _pitched(down: Floats, ahead: Floats, pitch_rad: float) -> tuple[Floats, Floats]:
+    """Return points, down and ahead of a level camera, for a camera that points down by an angle."""
+    cos = math.cos(pitch_rad)
+    sin = math.sin(pitch_rad)
+    return cos * down - sin * ahead, sin * down + cos * ahead
 
 
 def remapped(image: Image, maps: Maps) -> Image:
