@@ -20,8 +20,8 @@ import numpy as np
 from smal.arrays import AnyArray, Floats, Uint8s
 
 Image = Uint8s  # RGB, uint8 (height, width, 3).
-#: Turns of virtual views. 5 degrees are about twenty pixels, the width of a HOG cell, within which a view hardly
-#: changes. Beyond 40 degrees hardly anything of the taught image is left.
+#: Turns of virtual views. 5 degrees are about a sixteenth of the image, the width of a HOG cell,
+#: within which a view hardly changes. Beyond 40 degrees hardly anything of the taught image is left.
 TURNS_DEG: Final = 5.0 * np.arange(-8, 9)
 #: Spacing of the turns.
 STEP_DEG: Final = float(TURNS_DEG[1] - TURNS_DEG[0])

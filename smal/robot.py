@@ -113,6 +113,7 @@ class Localizer:
         self._time_s = 0.0
         self._strange_s = 0.0
         self._step_s = 0.0
+        self._movement = STILL
         self._strange = math.inf
         if self._witness is not None:
             self._witness.reset()
@@ -361,6 +362,11 @@ class Robot:
     def lost(self) -> bool:
         """Whether the robot is more likely lost than not."""
         return self.belief.is_lost
+
+    @property
+    def pitch_deg(self) -> float:
+        """Estimated angle by which the camera points further down than when it was taught."""
+        return self._localizer.pitch_deg
 
     @property
     def said(self) -> Said | None:
