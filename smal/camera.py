@@ -11,6 +11,7 @@ same drive best. Nothing has to be measured by hand.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Final, Literal, get_args
@@ -150,12 +151,7 @@ class Scene:
     distance: float
 
     def warp(
-        self,
-        image: Image,
-        ahead: float = 0.0,
-        left: float = 0.0,
-        turn_rad: float = 0.0,
-        shape: tuple[int, int] | None = None,
+        self, image: Image, ahead: float = 0.0, left: float = 0.0, turn_rad: float = 0.0
     ) -> Image:
         """Return the view from a pose ahead and left of the camera, and turned left.
 
@@ -165,15 +161,13 @@ class Scene:
         ahead, left : float
             Step, in the unit of the scene.
         turn_rad : float
-        shape : (int, int), optional
-            Rows and columns of the view; by default those of the image.
         """
-        return remapped(image, self.maps(image.shape[:2], (ahead, left, turn_rad), shape))
+        return remapped(image, self.maps(image.shape[:2], (ahead, left, turn_rad)))
 
     def maps(
         self,
         shape: tuple[int, ...],
-        step: tuple[float, float, float],
+        step: Sequence[float],
         view: tuple[int, int] | None = None,
         pitch_rad: float = 0.0,
     ) -> Maps:
@@ -183,7 +177,7 @@ class Scene:
         ----------
         shape : (int, int)
             Rows and columns of the image.
-        step : (float, float, float)
+        step : sequence of float
             Pose of the view from the camera: ahead, left, and turned left in radians.
         view : (int, int), optional
             Rows and columns of the view; by default those of the image.

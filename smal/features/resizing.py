@@ -25,7 +25,13 @@ def fitted(shape: tuple[int, ...], least: tuple[int, int]) -> tuple[int, int]:
 def shrunk(image: Uint8s, least: tuple[int, int]) -> Uint8s:
     """Shrink an image (height, width, 3) to the size `fitted`; a shrunk image stays as it is."""
     shape = fitted(image.shape, least)
-    return image if shape == image.shape[:2] else np.asarray(resized(image, *shape), np.uint8)
+    rows, columns = image.shape[:2]
+    # Halving is much faster than any other factor.
+    while rows % 2 == columns % 2 == 0 and rows >= 2 * shape[0] and columns >= 2 * shape[1]:
+        rows //= 2
+        columns //= 2
+        image = np.asarray(resized(image, rows, columns), dtype=np.uint8)
+    return image if shape == (rows, columns) else np.asarray(resized(image, *shape), np.uint8)
 
 
 def resized(image: AnyArray, rows: int, columns: int) -> AnyArray:

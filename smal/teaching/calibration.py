@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import isotonic_regression
 
 from smal.arrays import AnyArray, Bools, Float32s, Floats, Indices, Int8s, Int32s
-from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
+from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene, remapped
 from smal.features.extraction import in_parallel
 from smal.features.resizing import PIXELS, fitted
 from smal.files.packed import unpacked
@@ -174,7 +174,7 @@ def _best(
 
 def _warped(scene: Scene, image: Image, step: Sequence[float], pixels: tuple[int, int]) -> Image:
     """Return the view a step ahead, left and turned from an image, as small as features need."""
-    return scene.warp(image, *step, shape=fitted(image.shape, pixels))
+    return remapped(image, scene.maps(image.shape[:2], step, fitted(image.shape, pixels)))
 
 
 def _far(camera: Camera) -> Scene:
