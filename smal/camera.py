@@ -11,6 +11,7 @@ same drive best. Nothing has to be measured by hand.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Final, Literal, get_args
@@ -20,8 +21,8 @@ import numpy as np
 from smal.arrays import AnyArray, Floats, Uint8s
 
 Image = Uint8s  # RGB, uint8 (height, width, 3).
-#: Turns of virtual views. 5 degrees are about twenty pixels, the width of a HOG cell, within which a view hardly
-#: changes. Beyond 40 degrees hardly anything of the taught image is left.
+#: Turns of virtual views. 5 degrees are about a sixteenth of the image, the width of a HOG cell,
+#: within which a view hardly changes. Beyond 40 degrees hardly anything of the taught image is left.
 TURNS_DEG: Final = 5.0 * np.arange(-8, 9)
 #: Spacing of the turns.
 STEP_DEG: Final = float(TURNS_DEG[1] - TURNS_DEG[0])
@@ -161,15 +162,34 @@ class Scene:
             Step, in the unit of the scene.
         turn_rad : float
         """
-        return remapped(image, self.maps(image.shape[:2], ahead, left, turn_rad))
+        return remapped(image, self.maps(image.shape[:2], (ahead, left, turn_rad)))
 
-    def maps(self, shape: tuple[int, ...], ahead: float, left: float, turn_rad: float) -> Maps:
-        """Return the position of each pixel of the other view in an image of this shape, for `remapped`."""
+    def maps(
+        self,
+        shape: tuple[int, ...],
+        step: Sequence[float],
+        view: tuple[int, int] | None = None,
+        pitch_rad: float = 0.0,
+    ) -> Maps:
+        """Return the position of each pixel of a view in an image of this shape, for `remapped`.
+
+        Parameters
+        ----------
+        shape : (int, int)
+            Rows and columns of the image.
+        step : sequence of float
+            Pose of the view from the camera: ahead, left, and turned left in radians.
+        view : (int, int), optional
+            Rows and columns of the view; by default those of the image.
+        pitch_rad : float
+            Angle by which the camera of the image points down. The view is level.
+        """
         import cv2  # noqa: PLC0415 - processes that only read models have no OpenCV
 
         focal = self.camera.focal * shape[1]
         middle_u, middle_v = self.camera.middle(shape)
-        x, y, z = self.camera.rays(shape)
+        x, y, z = self.camera.rays(view or shape)
+        ahead, left, turn_rad = step
         cos = math.cos(turn_rad)
         sin = math.sin(turn_rad)
         # The ray of each pixel, in axes of the camera that took the image.
@@ -182,6 +202,8 @@ class Scene:
         x = reach * right - left
         y = reach * y
         z = reach * deep + ahead
+        if pitch_rad:
+            y, z = _pitched(y, z, pitch_rad)
         off = np.maximum(np.sqrt(x * x + y * y), 1e-9)
         # Pixels far outside of the image repeat its border.
         angle = np.arctan2(off, z)
@@ -189,6 +211,13 @@ class Scene:
         columns = (radius * x + middle_u).astype(np.float32)
         rows = (radius * y + middle_v).astype(np.float32)
         return cv2.convertMaps(columns, rows, cv2.CV_16SC2)
+
+
+def _pitched(down: Floats, ahead: Floats, pitch_rad: float) -> tuple[Floats, Floats]:
+    """Return points, down and ahead of a level camera, for a camera that points down by an angle."""
+    cos = math.cos(pitch_rad)
+    sin = math.sin(pitch_rad)
+    return cos * down - sin * ahead, sin * down + cos * ahead
 
 
 def remapped(image: Image, maps: Maps) -> Image:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from smal.arrays import AnyArray, Float32s, Uint8s
+from smal.camera_change import CameraPitch
 from smal.features.detectors import Detection
 from smal.features.percept import Percept, perceive
 from smal.filter import Belief, Filter
@@ -91,6 +92,7 @@ class Localizer:
         self.features = model.feature_settings
         self._ground = model.ground
         self._filter = Filter(mapped, model.centering, seed, config)
+        self._pitch = CameraPitch(mapped, model.centering)
         if goal is None and len({*mapped.goals}) == 1:
             goal = mapped.goals[0]
         sight = model.sights.get(goal or "")
@@ -105,11 +107,13 @@ class Localizer:
     def reset(self, belief: Belief | None = None, pose: Sequence[float] | None = None) -> None:
         """Start a new episode, optionally from a belief and the odometry pose at its frame."""
         self._filter.reset(belief)
+        self._pitch.reset()
         self._pose = pose if self._map.odometry else None
         self._since_near = math.inf
         self._time_s = 0.0
         self._strange_s = 0.0
         self._step_s = 0.0
+        self._movement = STILL
         self._strange = math.inf
         if self._witness is not None:
             self._witness.reset()
@@ -122,11 +126,27 @@ class Localizer:
         elapsed_s: float | None = None,
     ) -> Located:
         """Process one frame; odometry, motions, time and errors are as in `observe`."""
+        picture = percept.picture
+        percept = self._pitch.levelled(percept)
         whole = self.observe(percept.features, odometry, made, elapsed_s)
         seen = self.seen(percept.picture, whole, percept.detected)
         belief = whole.summary()
+        self._compare(picture, belief)
         strange = self.strange(percept.picture, belief) if self._watches else math.inf
         return Located(whole, belief, seen, strange)
+
+    @property
+    def pitch_deg(self) -> float:
+        """Estimated angle by which the camera points further down than when it was taught."""
+        return self._pitch.pitch_deg
+
+    def _compare(self, picture: Uint8s | None, belief: Belief) -> None:
+        """Compare a small picture with the map, for the pitch of the camera."""
+        best = int(belief.keyframes[0])
+        near = beside(self._map, best, self._map.config.neighbours)
+        share = float(belief.weights[np.isin(belief.keyframes, near)].sum())
+        certainty = (1.0 - belief.lost) * share
+        self._pitch.compare(picture, best, certainty, self._map.lengths(self._movement))
 
     def seen(
         self, picture: Uint8s | None, belief: Belief, detected: Iterable[Detection] = ()
@@ -219,6 +239,7 @@ class Localizer:
         elif atoms:
             movement = self._usual_movement(atoms, elapsed_s)
         belief = self._filter.observe(raw_features, movement, noise)
+        self._movement = movement
         self._since_near += abs(movement.ahead)
         self._strange = max(self._strange - movement.ahead, 0.0)
         self._step_s = self._map.tick_s if elapsed_s is None else elapsed_s
@@ -341,6 +362,11 @@ class Robot:
     def lost(self) -> bool:
         """Whether the robot is more likely lost than not."""
         return self.belief.is_lost
+
+    @property
+    def pitch_deg(self) -> float:
+        """Estimated angle by which the camera points further down than when it was taught."""
+        return self._localizer.pitch_deg
 
     @property
     def said(self) -> Said | None:

@@ -14,6 +14,7 @@ from smal.features import color
 from smal.features.detectors import Detection
 from smal.features.modalities import modality_named
 from smal.features.modality import Input
+from smal.features.resizing import shrunk
 from smal.features.settings import FeatureSettings
 
 #: Each worker holds one decoded image, up to 300 MB.
@@ -62,6 +63,18 @@ def still_wanted() -> None:
         raise CancelledError
 
 
+def looked_at(image: Uint8s, settings: FeatureSettings) -> Uint8s:
+    """Shrink an RGB image (height, width, 3) to twice the pixels at which features look.
+
+    Features, small pictures and virtual views are computed from it, so that they cost the same for
+    every camera. Virtual views need the double resolution: they have other positions of pixels.
+    ValueError as in `check_image`.
+    """
+    check_image(image)
+    rows, columns = settings.pixels
+    return shrunk(image, (2 * rows, 2 * columns))
+
+
 def extract(image: Uint8s, settings: FeatureSettings, depth_mm: Uint16s | None = None) -> Float32s:
     """Compute the raw features (m,) of one frame.
 
@@ -81,8 +94,7 @@ def extract(image: Uint8s, settings: FeatureSettings, depth_mm: Uint16s | None =
     ValueError
         If an image has the wrong type or shape or is too small, or a depth image is missing.
     """
-    check_image(image)
-    inputs: dict[Input, AnyArray] = {"color": np.ascontiguousarray(image)}
+    inputs: dict[Input, AnyArray] = {"color": np.ascontiguousarray(looked_at(image, settings))}
     if "depth" in settings.needs:
         if depth_mm is None:
             raise ValueError(f"the features {', '.join(settings.modalities)} need a depth image")

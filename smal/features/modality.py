@@ -8,6 +8,7 @@ import numpy as np
 
 from smal.arrays import AnyArray, Float32s, Uint8s
 from smal.features.detectors import Detection
+from smal.features.resizing import PIXELS
 
 # Images of a camera: RGB, uint8 (height, width, 3), or depth, uint16 (height, width) in millimetres.
 Input = Literal["color", "depth"]
@@ -27,6 +28,8 @@ class Modality:
         Returns the descriptor, float32 (size,), of unit length or zero. A detector has an empty descriptor.
     detect
         Returns the detections of a detector.
+    pixels
+        Rows and columns of an image at which it looks, or more.
     """
 
     name: str
@@ -34,6 +37,7 @@ class Modality:
     needs: Input
     describe: Callable[[AnyArray], Float32s]
     detect: Callable[[Uint8s], list[Detection]] | None = None
+    pixels: tuple[int, int] = PIXELS
 
 
 def detector(name: str, detect: Callable[[Uint8s], list[Detection]]) -> Modality:

@@ -26,7 +26,7 @@ import numpy as np
 from smal.arrays import Float32s, Uint8s
 from smal.features.detectors import Detection, of_boxes
 from smal.features.modality import Modality, detector, unit_length
-from smal.features.resizing import resized
+from smal.features.resizing import PIXELS, resized
 from smal.files.confined import ConfinedError, Work, WorkLimits, confined
 from smal.files.container import open_regular
 
@@ -232,7 +232,9 @@ def onnx_modality(name: str) -> Modality:
         return _given[name].detect(image)
 
     if size:
-        return Modality(f"{PREFIX}{digest}", size, "color", describe)
+        network = _given.get(name)
+        pixels = PIXELS if network is None else (network.rows, network.columns)
+        return Modality(f"{PREFIX}{digest}", size, "color", describe, pixels=pixels)
     return detector(f"{BOXES}{digest}", detect)
 
 

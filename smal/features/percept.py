@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from smal.arrays import Float32s, Uint8s, Uint16s
 from smal.features.detectors import Detection
-from smal.features.extraction import detect, extract
+from smal.features.extraction import detect, extract, looked_at
 from smal.features.resizing import small
 from smal.features.settings import FeatureSettings
 
@@ -24,5 +24,6 @@ class Percept(NamedTuple):
 
 def perceive(image: Picture, settings: FeatureSettings, depth_mm: Uint16s | None = None) -> Percept:
     """Return the percept of an image (height, width, 3), RGB; errors are as in `extract`."""
-    features = extract(image, settings, depth_mm)
-    return Percept(features, small(image), tuple(detect(image, settings)))
+    seen = looked_at(image, settings)
+    features = extract(seen, settings, depth_mm)
+    return Percept(features, small(seen), tuple(detect(image, settings)))

@@ -8,6 +8,30 @@ from smal.arrays import AnyArray, Uint8s
 
 #: Rows and columns of `small`: a lying person 5 m away takes 20 of the columns.
 SHAPE: Final = (60, 80)
+#: Rows and columns of an image at which features look: the finest of our own descriptors, HOG.
+PIXELS: Final = (120, 160)
+
+
+def fitted(shape: tuple[int, ...], least: tuple[int, int]) -> tuple[int, int]:
+    """Return the rows and columns of an image that is shrunk, but not below `least` on any side.
+
+    The aspect ratio stays, so that the camera model fits every size.
+    """
+    rows, columns = shape[:2]
+    factor = min(max(least[0] / rows, least[1] / columns), 1.0)
+    return round(factor * rows), round(factor * columns)
+
+
+def shrunk(image: Uint8s, least: tuple[int, int]) -> Uint8s:
+    """Shrink an image (height, width, 3) to the size `fitted`; a shrunk image stays as it is."""
+    shape = fitted(image.shape, least)
+    rows, columns = image.shape[:2]
+    # Halving is much faster than any other factor.
+    while rows % 2 == columns % 2 == 0 and rows >= 2 * shape[0] and columns >= 2 * shape[1]:
+        rows //= 2
+        columns //= 2
+        image = np.asarray(resized(image, rows, columns), dtype=np.uint8)
+    return image if shape == (rows, columns) else np.asarray(resized(image, *shape), np.uint8)
 
 
 def resized(image: AnyArray, rows: int, columns: int) -> AnyArray:

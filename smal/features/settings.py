@@ -14,7 +14,7 @@ from smal.features.modalities import modality_named
 from smal.features.modality import Input
 
 # Increased whenever a descriptor changes its output, so that a model never meets features it was not learned on.
-DESCRIPTOR_VERSION = 1
+DESCRIPTOR_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,12 @@ class FeatureSettings:
     def size(self) -> int:
         """Length m of a feature vector."""
         return sum(modality_named(name).size for name in self.modalities)
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Rows and columns of an image at which these features look."""
+        shapes = [modality_named(name).pixels for name in self.describing]
+        return max([rows for rows, _ in shapes]), max([columns for _, columns in shapes])
 
     @property
     def needs(self) -> frozenset[Input]:

@@ -8,17 +8,18 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 from scipy.optimize import isotonic_regression
 
 from smal.arrays import AnyArray, Bools, Float32s, Floats, Indices, Int8s, Int32s
-from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
+from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene, remapped
 from smal.features.extraction import in_parallel
+from smal.features.resizing import PIXELS, fitted
 from smal.files.packed import unpacked
 from smal.keyframes import MapConfig
-from smal.likelihood import Likelihood, evenly, standing_out
+from smal.likelihood import Likelihood, evenly, over, scale
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
 
 #: Returns the centred features (n, m) of n images.
@@ -89,6 +90,8 @@ class TaughtFrames:
     odometry : bool
     camera : Camera, optional
         The given camera, or the camera of the turn measurement.
+    pixels : (int, int)
+        Rows and columns of an image at which `describe` looks.
     """
 
     images: Sequence[Image]
@@ -100,6 +103,7 @@ class TaughtFrames:
     odometry: bool = True
     camera: Camera | None = None
     config: CalibrationConfig = CALIBRATION_CONFIG
+    pixels: tuple[int, int] = PIXELS
 
     @cached_property
     def car(self) -> bool:
@@ -136,7 +140,7 @@ class TaughtFrames:
     def best(self, scenes: Sequence[Scene], pairs: Sequence[_Pair]) -> Scene:
         """Return the scene that predicts the second views of pairs best from the first."""
         guesses = [(scene, 1.0) for scene in scenes]
-        scene, _ = _best(self.images, self.describe, guesses, pairs, self.config)
+        scene, _ = _best(self.images, self.describe, guesses, pairs, self.config.pairs, self.pixels)
         return scene
 
 
@@ -145,10 +149,11 @@ def _best(
     describe: Describe,
     guesses: Sequence[tuple[Scene, float]],
     pairs: Sequence[_Pair],
-    config: CalibrationConfig,
+    most: int,
+    pixels: tuple[int, int],
 ) -> tuple[Scene, float]:
     """Return the scene and the unit of the steps that predict the second views of pairs best from the first."""
-    some = [pairs[k] for k in evenly(len(pairs), config.pairs)]
+    some = [pairs[k] for k in evenly(len(pairs), most)]
     firsts = [images[pair.frame] for pair in some]
     seconds = [describe([images[pair.other]])[0] for pair in some]
     steps = [pair.step for pair in some]
@@ -156,7 +161,7 @@ def _best(
     def score(guess: tuple[Scene, float]) -> float:
         scene, unit = guess
         warped = (
-            scene.warp(image, *(unit * part for part in step))
+            _warped(scene, image, [unit * part for part in step], pixels)
             for image, step in zip(firsts, steps, strict=True)
         )
         predicted = describe(warped)
@@ -165,6 +170,11 @@ def _best(
     # OpenCV releases the interpreter's lock.
     scores = list(in_parallel(score, guesses))
     return guesses[int(np.argmax(scores))]
+
+
+def _warped(scene: Scene, image: Image, step: Sequence[float], pixels: tuple[int, int]) -> Image:
+    """Return the view a step ahead, left and turned from an image, as small as features need."""
+    return remapped(image, scene.maps(image.shape[:2], step, fitted(image.shape, pixels)))
 
 
 def _far(camera: Camera) -> Scene:
@@ -206,6 +216,7 @@ def turn_of_views(
     cameras: Sequence[Camera],
     describe: Describe,
     config: CalibrationConfig = CALIBRATION_CONFIG,
+    pixels: tuple[int, int] = PIXELS,
 ) -> tuple[Camera, float] | None:
     """Measure the turn of a turning atom, by the turn with which views predict each other best.
 
@@ -222,6 +233,8 @@ def turn_of_views(
     describe : callable
         Returns the centred features (n, m) of n images.
     config : CalibrationConfig
+    pixels : (int, int)
+        Rows and columns of an image at which `describe` looks.
 
     Returns
     -------
@@ -244,7 +257,7 @@ def turn_of_views(
         if not same.size:
             break
         turns = [_Pair(k, k + count, (0.0, 0.0, float(sign[k]))) for k in same.tolist()]
-        scene, turn_rad = _best(images, describe, guesses, turns, config)
+        scene, turn_rad = _best(images, describe, guesses, turns, config.pairs, pixels)
         found = scene.camera, turn_rad / count
     return found
 
@@ -271,7 +284,7 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
     blind = True
     for drive in np.unique(frames.drives):
         every = np.flatnonzero(frames.drives == drive)
-        some = every[_near_and_far(every.size, frames.config.most_frames)]
+        some = every[compared_frames(every.size, frames.config.most_frames)]
         apart, turned = frames.apart(some)
         if not apart.any():
             continue
@@ -321,10 +334,11 @@ def _length_of(way: Floats, cosine: AnyArray, unrelated: float) -> float:
         reach = 4.0 * length
 
 
-def _near_and_far(count: int, most: int) -> Indices:
-    """Return at most about `most` numbers below a count, such that some pairs are near and some far apart.
+def compared_frames(count: int, most: int = CALIBRATION_CONFIG.most_frames) -> Indices:
+    """Return the frames of a drive that `correlation_length` compares, at most about `most`.
 
-    They are evenly spread numbers, each followed by numbers at growing distances.
+    They are evenly spread numbers, each followed by numbers at growing distances, so that some
+    pairs are near and some far apart.
     """
     if count <= most:
         return np.arange(count)
@@ -341,7 +355,8 @@ def _turns_undone(frames: TaughtFrames, camera: Camera, pairs: Indices) -> tuple
 
     def cosine(pair: tuple[int, int, float]) -> float:
         one, other, turn_rad = pair
-        turned = _far(camera).warp(frames.images[one], turn_rad=turn_rad)
+        step = (0.0, 0.0, turn_rad)
+        turned = _warped(_far(camera), frames.images[one], step, frames.pixels)
         (predicted,) = frames.describe([turned])
         (view,) = frames.centred([other])
         return float(predicted @ view)
@@ -359,7 +374,8 @@ def correlation_turn(frames: TaughtFrames, camera: Camera, unrelated: float) -> 
     scene = _far(camera)
 
     def cosine(turn_rad: float) -> float:
-        turned = frames.describe(scene.warp(image, turn_rad=turn_rad) for image in images)
+        step = (0.0, 0.0, turn_rad)
+        turned = frames.describe(_warped(scene, image, step, frames.pixels) for image in images)
         return float((own * turned).sum(axis=1).mean())
 
     mean = np.array([1.0, *in_parallel(cosine, _TURNS_RAD)])
@@ -397,12 +413,19 @@ class _Looks:
     views: Int8s
     #: (k, r) straight ahead from the keyframe itself.
     own: Float32s
-    #: Views of the sample of elsewhere.
-    sample: Float32s
+    #: Median and spread of the cosines of each keyframe's view with the sample of elsewhere.
+    scales: Sequence[tuple[float, float]]
+
+    @classmethod
+    def of(cls, poses: Floats, drives: Int32s, views: Int8s, reference: int) -> Self:
+        """Compare the views of keyframes with a sample of them."""
+        own = unpacked(views[:, 1, STRAIGHT])
+        cosines = own @ own[evenly(len(own), reference)].T
+        return cls(poses, drives, views, own, [scale(sample) for sample in cosines])
 
     def stands_out(self, cosines: AnyArray, key: int) -> AnyArray:
         """Return the z values of cosines with the view of a keyframe."""
-        return standing_out(cosines, self.sample @ self.own[key])
+        return over(cosines, *self.scales[key])
 
     def neighbours(self, key: int) -> list[int]:
         """Return the keyframes before and after a keyframe on its drive."""
@@ -426,9 +449,9 @@ class _Looks:
     def both(self, key: int, far: Bools) -> Floats:
         """Return the z values of a keyframe and of the next at far places and at the places after these, (2, n)."""
         on = np.flatnonzero(far[:-1] & far[1:] & (np.diff(self.drives) == 0))
-        first = self.stands_out(self.own @ self.own[key], key)
-        second = self.stands_out(self.own @ self.own[key + 1], key + 1)
-        return np.stack([first[on], second[on + 1]])
+        first = self.stands_out(self.own[on] @ self.own[key], key)
+        second = self.stands_out(self.own[on + 1] @ self.own[key + 1], key + 1)
+        return np.stack([first, second])
 
 
 def likelihood_of_views(
@@ -467,18 +490,19 @@ def likelihood_of_views(
     poses = frames.poses[keyframes]
     drives = frames.drives[keyframes]
     count = len(views)
-    own = unpacked(views[:, 1, STRAIGHT])
-    looks = _Looks(poses, drives, views, own, own[evenly(count, config.reference)])
+    looks = _Looks.of(poses, drives, views, config.reference)
     some = evenly(count, frames.config.most_frames)
-    places = unpacked(views[some])
+    keys = evenly(count, frames.config.most_frames // 4)
+    # All at once: a product for each keyframe copies all places.
+    places = unpacked(views[some]).reshape(-1, views.shape[-1])
+    cosines = (looks.own[keys] @ places.T).reshape(keys.size, some.size, -1)
     neighbouring: list[float | None] = []
     elsewhere = []
     alike = []
     chains: list[AnyArray] = [np.empty((2, 0))]
-    for key in evenly(count, frames.config.most_frames // 4).tolist():
+    for key, alike_key in zip(keys.tolist(), cosines, strict=True):
         far = looks.far(key, config.elsewhere * length)
-        cosines = places[far[some]] @ own[key]
-        elsewhere.append(looks.stands_out(cosines, key).ravel())
+        elsewhere.append(looks.stands_out(alike_key[far[some]], key).ravel())
         neighbours = looks.neighbours(key)
         neighbouring += [looks.beside(key, other) for other in neighbours]
         if key + 1 in neighbours:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from smal.arrays import AnyArray, Float32s, Floats, Int8s
 from smal.camera import Camera, Image
-from smal.features.extraction import Parallel, extract, in_parallel
+from smal.features.extraction import Parallel, extract, in_parallel, looked_at
 from smal.features.settings import FeatureSettings
 from smal.map import GOAL_NAME
 from smal.sought.learning import Box
@@ -146,6 +146,15 @@ def tasks_of(arrays: AnyArray | Sequence[AnyArray], numbers: Sequence[int]) -> S
 def described(images: Sequence[Image], features: FeatureSettings) -> Made:
     """Return the raw features of images, each computed on access."""
     return Made(len(images), lambda frame: partial(_extracted, task_of(images, frame), features))
+
+
+def seen_by(images: Sequence[Image], features: FeatureSettings) -> Made:
+    """Return images as small as features look at them, each shrunk on access."""
+    return Made(len(images), lambda frame: partial(_shrunk, task_of(images, frame), features))
+
+
+def _shrunk(image: Task, features: FeatureSettings) -> Image:
+    return looked_at(image(), features)
 
 
 def _extracted(image: Task, features: FeatureSettings) -> Float32s:

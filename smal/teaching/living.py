@@ -17,9 +17,10 @@ import numpy as np
 from scipy.special import stdtrit
 
 from smal.arrays import Float32s, Floats, Indices, Int8s
-from smal.camera import STRAIGHT, Camera, Image, Scene
+from smal.camera import STRAIGHT, Camera, Image, Scene, remapped
 from smal.features import extract
-from smal.features.extraction import in_parallel
+from smal.features.extraction import in_parallel, looked_at
+from smal.features.resizing import fitted
 from smal.files.packed import packed, unpacked
 from smal.filter import Belief
 from smal.likelihood import evenly, over, scale
@@ -171,7 +172,10 @@ def _look(model: Model, run: Demonstration, frame: int, offset: Floats) -> Int8s
     image = cast("Sequence[Image]", run.images)[frame]
     scene = Scene(cast("Camera", run.camera), *taught.scene[1:].tolist())
     steps = seen_from(np.array(virtual_poses(taught.aside)), offset).tolist()
-    raw = np.stack([extract(scene.warp(image, *step), model.feature_settings) for step in steps])
+    image = looked_at(image, model.feature_settings)
+    shape = fitted(image.shape, model.feature_settings.pixels)
+    views = (remapped(image, scene.maps(image.shape[:2], step, shape)) for step in steps)
+    raw = np.stack([extract(view, model.feature_settings) for view in views])
     components = model.centering.apply(raw) @ taught.basis
     return packed(components).reshape(taught.views.shape[1:])
 

@@ -15,8 +15,8 @@ from smal.arrays import Float32s, Floats, Int8s, Int32s
 from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
 from smal.features import Centering, FeatureSettings, extract
 from smal.features.detectors import Detection
-from smal.features.extraction import Parallel, detect, in_parallel
-from smal.features.resizing import small
+from smal.features.extraction import Parallel, detect, in_parallel, looked_at
+from smal.features.resizing import fitted, small
 from smal.files.packed import packed, unit
 from smal.keyframes import MAP_CONFIG, MapConfig, shows_same, without_detours
 from smal.likelihood import evenly
@@ -30,6 +30,7 @@ from smal.sought.word import Word
 from smal.teaching.calibration import (
     USUAL_CAMERAS,
     TaughtFrames,
+    compared_frames,
     correlation_length,
     correlation_turn,
     fit_camera,
@@ -46,6 +47,7 @@ from smal.teaching.demonstration import (
     described,
     drives_to_goals,
     every,
+    seen_by,
     tasks_of,
 )
 from smal.teaching.movements import atom_movements
@@ -90,10 +92,13 @@ def learn(
     features = FeatureSettings() if features is None else features
     whole = _drives_to_map(demonstrations, features, tick_s)
     taught = [drive for _, drive in whole]
+    images = chained(list(_known(drive.images for drive in taught)))
     total = sum(len(drive.atoms) for drive in taught)
-    rows = (row[None] for drive in taught for row in every(drive.features, parallel))
-    centering = Centering.fit(_told(progress, "frames", rows, total), features)
-    frames = _frames(taught, centering, tick_s, config)
+    described = chained([drive.features for drive in taught])
+    rows = _told(progress, "frames", every(described, parallel), total)
+    kept = _Kept(described, [len(drive.atoms) for drive in taught])
+    centering = Centering.fit(map(kept.keep, rows), features)
+    frames = _frames(taught, kept, centering, tick_s, config)
     camera = frames.camera or fit_camera(frames)
     length, unrelated = correlation_length(frames, camera)
     _check_extent(frames, [names[0] for names, _ in whole], length / config.views_a_length)
@@ -104,7 +109,7 @@ def learn(
     views, basis = _make_views(frames, keyframes, views_of, progress, parallel, config)
     likelihood, correlation = likelihood_of_views(frames, keyframes, views, length, config)
     grey = np.full_like(frames.images[0], 128)
-    height, width = grey.shape[:2]
+    height, width = images[0].shape[:2]
     visual_map = VisualMap(
         poses=frames.poses,
         drives=frames.drives,
@@ -129,7 +134,7 @@ def learn(
     )
     boxes = [drive.box for drive in taught]
     visual_map = stitched(visual_map)
-    sights, words, ground = _seen(frames.images, visual_map, boxes, features)
+    sights, words, ground = _seen(images, visual_map, boxes, features)
     return Model(centering, visual_map, sights, words, ground)
 
 
@@ -216,22 +221,52 @@ def demonstrations_of(
     ]
 
 
+class _Kept:
+    """The raw features of frames, of which those that calibration compares are kept in memory."""
+
+    def __init__(self, features: Sequence[Float32s], frames: Sequence[int]) -> None:
+        self._features = features
+        starts = np.cumsum([0, *frames[:-1]])
+        compared = [compared_frames(count) for count in frames]
+        wanted = [start + some for start, some in zip(starts, compared, strict=True)]
+        self._wanted = set(np.concatenate(wanted).tolist())
+        self._rows: dict[int, Float32s] = {}
+        self._next = 0
+
+    def keep(self, row: Float32s) -> Float32s:
+        """Take the row of the next frame, and return it as an array (1, m)."""
+        if self._next in self._wanted:
+            self._rows[self._next] = row
+        self._next += 1
+        return row[None]
+
+    def __getitem__(self, frame: int) -> Float32s:
+        """Return the row of a frame; a row that is not kept is computed again."""
+        row = self._rows.get(frame)
+        return self._features[frame] if row is None else row
+
+
 def _described(centering: Centering, views: Iterable[Image]) -> Float32s:
     described = [extract(view, centering.settings) for view in views]
     return centering.apply(np.stack(described))
 
 
-def _centred(centering: Centering, features: Sequence[Float32s], some: Iterable[int]) -> Float32s:
+def _centred(centering: Centering, features: "_Kept", some: Iterable[int]) -> Float32s:
     rows = [features[frame] for frame in some]
     return centering.apply(np.stack(rows))
 
 
 def _frames(
-    taught: Sequence[Demonstration], centering: Centering, tick_s: float, config: MapConfig
+    taught: Sequence[Demonstration],
+    features: "_Kept",
+    centering: Centering,
+    tick_s: float,
+    config: MapConfig,
 ) -> TaughtFrames:
     """Concatenate drives, with poses by odometry or by the usual movements of atoms."""
     images = chained(list(_known(drive.images for drive in taught)))
-    features = chained([drive.features for drive in taught])
+    images = seen_by(images, centering.settings)
+    pixels = centering.settings.pixels
     cameras = list(_known(drive.camera for drive in taught))
     camera = cameras[0] if cameras else None
     atoms = [drive.atoms for drive in taught]
@@ -246,7 +281,7 @@ def _frames(
     else:
         tried = tuple(cameras[:1]) or USUAL_CAMERAS
         usual = tried[0], math.radians(config.usual_turn_deg_s) * tick_s
-        camera, turn_rad = turn_of_views(images, atoms, tried, describe) or usual
+        camera, turn_rad = turn_of_views(images, atoms, tried, describe, pixels=pixels) or usual
         ahead = _ahead_in_turns(taught)
         movements = np.array(
             [[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [ahead, turn_rad], [ahead, -turn_rad]]
@@ -255,7 +290,15 @@ def _frames(
     numbers = np.arange(len(ways), dtype=np.int32)
     drives = np.repeat(numbers, [len(way) for way in ways])
     return TaughtFrames(
-        images, centred, np.concatenate(ways), drives, describe, movements, odometry, camera
+        images,
+        centred,
+        np.concatenate(ways),
+        drives,
+        describe,
+        movements,
+        odometry,
+        camera,
+        pixels=pixels,
     )
 
 
@@ -294,7 +337,7 @@ def _seen(
 
     def inspect(frame: int) -> tuple[Image, list[Detection]]:
         image = images[frame]
-        return small(image), detect(image, features)
+        return small(looked_at(image, features)), detect(image, features)
 
     pictures, detected = zip(*in_parallel(inspect, keys.tolist()), strict=True)
     left_s = (mapped.arc[keys[ends]] - mapped.arc[keys]) / max(mapped.speed, 1e-9)
@@ -352,13 +395,16 @@ def virtual_poses(aside: float) -> list[tuple[float, float, float]]:
 
 
 @lru_cache(maxsize=2)  # Drives may be of cameras of different sizes.
-def _maps_of(scene: Scene, aside: float, shape: tuple[int, ...]) -> list[Maps]:
-    return [scene.maps(shape, *pose) for pose in virtual_poses(aside)]
+def _maps_of(
+    scene: Scene, aside: float, shape: tuple[int, ...], pixels: tuple[int, int]
+) -> list[Maps]:
+    view = fitted(shape, pixels)
+    return [scene.maps(shape, pose, view) for pose in virtual_poses(aside)]
 
 
 def _views_of(scene: Scene, aside: float, centering: Centering, image: Task) -> Float32s:
     frame = image()
-    maps = _maps_of(scene, aside, frame.shape[:2])
+    maps = _maps_of(scene, aside, frame.shape[:2], centering.settings.pixels)
     return _described(centering, (remapped(frame, of_pose) for of_pose in maps))
 
 

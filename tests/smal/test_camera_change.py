@@ -1,0 +1,78 @@
+"""The pitch of a camera that was mounted anew, estimated in the first metres."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from smal.camera_change import CameraPitch
+from smal.features.percept import perceive
+from smal.model import Model
+from smal.robot import Localizer
+from tests.smal import synthetic_world
+from tests.smal.synthetic_world import COLOR, Room, drive, usual_map
+
+ROOM = Room()
+Image = NDArray[np.uint8]
+
+
+@pytest.fixture
+def pitch_camera(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Return a function that points the camera of the rooms down by an angle in degrees."""
+    rays = synthetic_world._rays
+
+    def pitch(angle_deg: float) -> None:
+        cos = math.cos(math.radians(angle_deg))
+        sin = math.sin(math.radians(angle_deg))
+
+        def pitched(*camera: object) -> tuple[NDArray[np.float64], ...]:
+            down, right, ahead = rays(*camera)
+            return cos * down + sin * ahead, right, cos * ahead - sin * down
+
+        monkeypatch.setattr(synthetic_world, "_rays", pitched)
+
+    return pitch
+
+
+def followed(light: float = 1.0) -> Localizer:
+    """Return the localizer after the taught drive under a share of the taught light."""
+    mapped, centering = usual_map()
+    localizer = Localizer(Model(centering, mapped))
+    for pose in drive().poses:
+        image = np.rint(light * ROOM.look(pose)).astype(np.uint8)
+        located = localizer.locate(perceive(image, COLOR), pose.tolist())
+        assert not located.belief.is_lost
+    return localizer
+
+
+@pytest.mark.parametrize("pitch_deg", [-5.0, 5.0])
+def test_pitch_is_estimated_when_the_camera_has_changed(
+    pitch_camera: Callable[[float], None], pitch_deg: float
+) -> None:
+    usual_map()
+    pitch_camera(pitch_deg)
+    assert followed().pitch_deg == pitch_deg
+
+
+@pytest.mark.parametrize("light", [0.6, 1.0])
+def test_pitch_stays_when_only_the_light_has_changed(light: float) -> None:
+    assert followed(light).pitch_deg == 0.0
+
+
+def test_levelled_percept_is_like_the_taught_one_when_pitched(
+    pitch_camera: Callable[[float], None],
+) -> None:
+    mapped, centering = usual_map()
+    pose = drive().poses[20]
+    level = centering.apply(perceive(ROOM.look(pose), COLOR).features)
+    pitch_camera(5.0)
+    raw = perceive(ROOM.look(pose), COLOR)
+    pitch = CameraPitch(mapped, centering)
+    assert pitch.levelled(raw) is raw
+    for _ in range(40):
+        pitch.compare(raw.picture, int(np.abs(mapped.keyframes - 20).argmin()), 1.0, 1.0)
+    before = float(level @ centering.apply(raw.features))
+    after = float(level @ centering.apply(pitch.levelled(raw).features))
+    assert after > before + 0.1
