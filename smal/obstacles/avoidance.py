@@ -37,7 +37,7 @@ def way_round(
     if not blocked:
         return error_rad
     round_rad = turn_round(around, way, turn_rad, step_m, known_m)
-    near = far_m < around.config.stands_before * around.radius_m
+    near = far_m < around.reach_m / 2.0
     return round_rad if round_rad is not None or near else error_rad
 
 
@@ -65,7 +65,7 @@ def turn_round(
     known_m : float
         Distance beside the way over which views change: a metre costs more the further aside it is.
     """
-    count = min(round(math.pi / turn_rad), around.config.most_turns)
+    count = min(round(math.pi / turn_rad), 180)
     turns = np.array(sorted(range(-count, count + 1), key=abs))
     turns_rad = turns * turn_rad
     straight_m = np.arange(1, math.floor(around.reach_m / around.cell_m)) * around.cell_m
@@ -147,20 +147,16 @@ def _open_cells(around: Surroundings, aside_m: Floats) -> Bools:
     robot = around.cells(np.zeros(2))
     near = np.hypot(*around.seen_from(0.0)) < 1.5 * around.radius_m
     leaves = near & (clear_m >= clear_m[robot] - 1e-3)
-    most_aside_m = max(around.config.may_go_aside * around.radius_m, float(aside_m[robot]))
+    most_aside_m = max(around.reach_m / 2.0, float(aside_m[robot]))
     return ((clear_m >= around.body_m) | leaves) & (aside_m <= most_aside_m)
 
 
 def _cost(around: Surroundings, aside_m: Floats, known_m: float) -> Floats:
     """Return the cost of a metre in each cell."""
-    config = around.config
-    room_m = config.room * around.radius_m
+    room_m = 2.0 * around.radius_m
     tight = (room_m - around.clearance_m) / (room_m - around.body_m)
     return np.asarray(
-        1.0
-        + config.tight_cost * np.clip(tight, 0.0, 1.0)
-        + config.aside_cost * aside_m / known_m
-        + config.unknown_cost * around.unknown
+        1.0 + 2.0 * np.clip(tight, 0.0, 1.0) + 1.5 * aside_m / known_m + 0.5 * around.unknown
     )
 
 

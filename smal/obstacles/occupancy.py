@@ -1,0 +1,158 @@
+"""Log-odds occupancy grid (Moravec and Elfes 1985) with a background, which shows what has come.
+
+The background of a cell is its mean occupancy over the last seconds in which it was seen. An
+occupied cell with a free background has an obstacle that has come. Free evidence holds down to the
+height that the camera showed at that distance: a low obstacle that comes into view has not come.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from smal.arrays import Bools, Floats
+
+
+@dataclass(frozen=True)
+class OccupancyConfig:
+    """Parameters of the evidence."""
+
+    #: Probability that a look hits an occupied cell, and that it passes through a free cell.
+    p_hit: float = 0.7
+    #: Bounds of the probability of a cell. A hit makes every cell occupied: one look can save a
+    #: person. An obstacle that has left is forgotten after five looks.
+    p_min: float = 0.4
+    p_max: float = 0.97
+    #: Half-life of the evidence for an obstacle that has come and is out of view, seconds.
+    forgets_s: float = 1.0
+    #: Half-life of the background, seconds: an obstacle that has stood for so long is part of it.
+    stands_s: float = 10.0
+    #: An obstacle moves if its cell was free for this share of the background: it has stood for
+    #: less than a second.
+    moves: float = 0.95
+
+
+OCCUPANCY_CONFIG: Final = OccupancyConfig()
+
+
+@dataclass(frozen=True)
+class Look:
+    """Evidence of one depth image for each cell (n, n).
+
+    Attributes
+    ----------
+    hit, passed
+        Whether the image shows an obstacle in the cell, or space behind the cell.
+    top_m
+        Visible top of the obstacle.
+    least_m
+        Height from which on the image shows obstacles in the cell.
+    elapsed_s
+        Time since the look before, seconds.
+    """
+
+    hit: Bools
+    passed: Bools
+    top_m: Floats
+    least_m: Floats
+    elapsed_s: float
+
+
+class Occupancy:
+    """Square grid (n, n) of log-odds, 0 for unknown cells."""
+
+    def __init__(self, side: int, config: OccupancyConfig = OCCUPANCY_CONFIG) -> None:
+        self._config = config
+        self._hit = _log_odds(config.p_hit)
+        self._log_odds = np.zeros((side, side))
+        #: Mean occupancy, -1 (always free) to 1 (always occupied).
+        self._background = np.zeros((side, side))
+        #: Top of an occupied cell. In a free cell, obstacles below this height are possible.
+        self._height_m = np.zeros((side, side))
+
+    @property
+    def occupied(self) -> Bools:
+        """Cells with an obstacle."""
+        return self._log_odds > 0.0
+
+    @property
+    def unknown(self) -> Bools:
+        """Cells that were never seen."""
+        return self._log_odds == 0.0
+
+    @property
+    def come(self) -> Bools:
+        """Cells with an obstacle that were mostly free."""
+        return self.occupied & (self._background < 0.0)
+
+    @property
+    def moving(self) -> Bools:
+        """Cells with an obstacle that were free until a moment ago."""
+        return self.occupied & (self._background < 1.0 - 2.0 * self._config.moves)
+
+    def shift(self, cells: tuple[int, int]) -> None:
+        """Move the content by cells; new cells are unknown."""
+        self._log_odds = _shifted(self._log_odds, cells)
+        self._background = _shifted(self._background, cells)
+        self._height_m = _shifted(self._height_m, cells)
+
+    def assume(self, cells: Bools, occupied: bool, height_m: Floats | float) -> None:
+        """Set cells to the evidence of one look."""
+        odds = self._hit if occupied else _log_odds(self._config.p_min)
+        self._log_odds[cells] = odds
+        self._background[cells] = math.copysign(1.0, odds)
+        self._height_m[cells] = height_m
+
+    def add(self, look: Look, stays: Bools, tolerance_m: float) -> None:
+        """Add a look; the cells ``stays`` forget no obstacle that has come.
+
+        ``tolerance_m`` is the tolerance of heights.
+        """
+        before = self.occupied
+        # A look over an obstacle does not disprove it.
+        passed = look.passed & ~look.hit & ~(before & (self._height_m <= look.least_m))
+        # Looks from further away did not show a low obstacle: its cell was never free.
+        low = look.hit & ~before & (look.top_m <= self._height_m + tolerance_m)
+        self._background[low] = 0.0
+        self._forget(self.come & ~look.hit & ~stays, look.elapsed_s)
+        odds = self._log_odds + self._hit * (1.0 * look.hit - passed)
+        least, most = _log_odds(self._config.p_min), _log_odds(self._config.p_max)
+        seen = look.hit | passed
+        self._log_odds[seen] = odds[seen].clip(least, most)
+        self._learn_heights(look, passed, before)
+        self._learn_background(seen, look.elapsed_s)
+
+    def _forget(self, cells: Bools, elapsed_s: float) -> None:
+        self._log_odds[cells] *= 0.5 ** (elapsed_s / self._config.forgets_s)
+        gone = cells & (self._log_odds < self._hit / 2.0)
+        self.assume(gone, occupied=False, height_m=np.inf)
+
+    def _learn_heights(self, look: Look, passed: Bools, before: Bools) -> None:
+        now = self.occupied
+        top_m = np.where(before, self._height_m, 0.0)
+        free_m = np.where(before | self.unknown, np.inf, self._height_m)
+        top_m = np.where(look.hit, np.maximum(top_m, look.top_m), top_m)
+        free_m = np.where(passed, np.minimum(free_m, look.least_m), free_m)
+        self._height_m = np.where(now, top_m, free_m)
+
+    def _learn_background(self, seen: Bools, elapsed_s: float) -> None:
+        share = 1.0 - 0.5 ** (elapsed_s / self._config.stands_s)
+        now = np.where(self.occupied, 1.0, -1.0)
+        first = self._background == 0.0
+        mean = np.where(first, now, self._background + share * (now - self._background))
+        self._background[seen] = mean[seen]
+
+
+def _log_odds(probability: float) -> float:
+    return math.log(probability / (1.0 - probability))
+
+
+def _shifted(grid: Floats, cells: tuple[int, int]) -> Floats:
+    side = len(grid)
+    moved = np.zeros_like(grid)
+    x, y = (min(max(step, -side), side) for step in cells)
+    to = np.s_[max(x, 0) : side + min(x, 0), max(y, 0) : side + min(y, 0)]
+    of = np.s_[max(-x, 0) : side + min(-x, 0), max(-y, 0) : side + min(-y, 0)]
+    moved[to] = grid[of]
+    return moved
