@@ -10,7 +10,6 @@ cells are not free.
 import copy
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, NamedTuple, Self
 
@@ -18,33 +17,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from smal.arrays import Bools, Float32s, Floats, Indices
-from smal.obstacles.occupancy import Look, Occupancy
-
-
-@dataclass(frozen=True)
-class GridConfig:
-    """Parameters of the scan and of the grid."""
-
-    #: Columns of a depth image in use: half a degree apart, which is 4 cm at 5 m.
-    depth_columns: int = 160
-    #: Minimum height of an obstacle above the plane of the ground, metres, and its increase a metre
-    #: ahead, for noise and uneven floors. A wheel climbs less.
-    ground_m: float = 0.05
-    ground_slope: float = 0.02
-    #: Maximum pitch and roll of a camera that shakes, or of a kerb under a wheel.
-    tilt_deg: float = 5.0
-    #: Minimum pixels of an obstacle in a column: fewer are noise.
-    least_pixels: int = 3
-    #: Cells a radius: errors of distance are about a cell.
-    cells_radius: int = 4
-    #: Reach of the grid in radii: about 5 m for a robot of 0.4 m.
-    reach: int = 12
-    #: Distance that the robot keeps from what has come, metres: the way of a person (1.6 m/s,
-    #: ISO 13855) in half a second.
-    walks_m: float = 0.8
-
-
-GRID_CONFIG: Final = GridConfig()
+from smal.obstacles.occupancy import GRID_CONFIG, GridConfig, Look, Occupancy
 
 
 class Mount(NamedTuple):
@@ -184,8 +157,8 @@ class Surroundings:
     body_m
         Distance that the robot keeps from the middle of an occupied cell. The obstacle fills half
         of the cell.
-    heading
-        Heading by the odometry.
+    heading, moved_m
+        Heading by the odometry, and distance of the last move.
     seen
         Scan of the last look; None if it showed no ground.
     """
@@ -200,8 +173,10 @@ class Surroundings:
         offsets = np.arange(-self._half, self._half + 1) * self.cell_m
         #: Offset of each cell's middle from the middle of the robot's cell.
         self._x_m, self._y_m = np.meshgrid(offsets, offsets, indexing="ij")
-        self._grid = Occupancy(offsets.size)
+        self._grid = Occupancy(offsets.size, config)
+        self._xy: tuple[float, float] | None = None
         self._cell: tuple[int, int] | None = None
+        self.moved_m = 0.0
         self._rest = np.zeros(2)
         self._mount: Mount | None = None  # Mount at the last look.
         self.heading = 0.0
@@ -216,6 +191,9 @@ class Surroundings:
     def move(self, pose: Sequence[float]) -> None:
         """Move to the odometry pose: x, y and heading in radians."""
         x, y, self.heading = pose
+        if self._xy is not None:
+            self.moved_m = math.dist(self._xy, (x, y))
+        self._xy = x, y
         cell = round(x / self.cell_m), round(y / self.cell_m)
         before = self._cell or cell
         self._cell = cell

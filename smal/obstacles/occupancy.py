@@ -15,25 +15,38 @@ from smal.arrays import Bools, Floats
 
 
 @dataclass(frozen=True)
-class OccupancyConfig:
-    """Parameters of the evidence."""
+class GridConfig:
+    """Parameters of the occupancy grid."""
 
+    #: Columns of a depth image in use: half a degree apart, which is 4 cm at 5 m.
+    depth_columns: int = 160
+    #: Minimum height of an obstacle above the plane of the ground, metres, and its increase a metre
+    #: ahead, for noise and uneven floors. A wheel climbs less.
+    ground_m: float = 0.05
+    ground_slope: float = 0.02
+    #: Maximum pitch and roll of a camera that shakes, or of a kerb under a wheel.
+    tilt_deg: float = 5.0
+    #: Minimum pixels of an obstacle in a column: fewer are noise.
+    least_pixels: int = 3
     #: Probability that a look hits an occupied cell, and that it passes through a free cell.
     p_hit: float = 0.7
-    #: Bounds of the probability of a cell. A hit makes every cell occupied: one look can save a
-    #: person. An obstacle that has left is forgotten after five looks.
-    p_min: float = 0.4
+    #: Maximum probability of a cell: five looks through the cell disprove an obstacle.
     p_max: float = 0.97
-    #: Half-life of the evidence for an obstacle that has come and is out of view, seconds.
-    forgets_s: float = 1.0
-    #: Half-life of the background, seconds: an obstacle that has stood for so long is part of it.
+    #: Half-life of an obstacle that has come and is out of view, seconds. For so long it counts as
+    #: moving: a person has then walked out of the way, or stands.
+    moves_s: float = 1.0
+    #: Half-life of the background, seconds: an obstacle that stands for so long is part of it.
     stands_s: float = 10.0
-    #: An obstacle moves if its cell was free for this share of the background: it has stood for
-    #: less than a second.
-    moves: float = 0.95
+    #: Cells a radius of the robot: errors of distance are about a cell.
+    cells_radius: int = 4
+    #: Reach of the grid in radii: about 5 m for a robot of 0.4 m.
+    reach: int = 12
+    #: Distance that the robot keeps from moving obstacles, metres: the way of a person (1.6 m/s,
+    #: ISO 13855) in half a second.
+    walks_m: float = 0.8
 
 
-OCCUPANCY_CONFIG: Final = OccupancyConfig()
+GRID_CONFIG: Final = GridConfig()
 
 
 @dataclass(frozen=True)
@@ -62,9 +75,10 @@ class Look:
 class Occupancy:
     """Square grid (n, n) of log-odds, 0 for unknown cells."""
 
-    def __init__(self, side: int, config: OccupancyConfig = OCCUPANCY_CONFIG) -> None:
+    def __init__(self, side: int, config: GridConfig = GRID_CONFIG) -> None:
         self._config = config
-        self._hit = _log_odds(config.p_hit)
+        self._hit = math.log(config.p_hit / (1.0 - config.p_hit))
+        self._most = math.log(config.p_max / (1.0 - config.p_max))
         self._log_odds = np.zeros((side, side))
         #: Mean occupancy, -1 (always free) to 1 (always occupied).
         self._background = np.zeros((side, side))
@@ -89,7 +103,7 @@ class Occupancy:
     @property
     def moving(self) -> Bools:
         """Cells with an obstacle that were free until a moment ago."""
-        return self.occupied & (self._background < 1.0 - 2.0 * self._config.moves)
+        return self.occupied & (self._background < self._after(self._config.moves_s))
 
     def shift(self, cells: tuple[int, int]) -> None:
         """Move the content by cells; new cells are unknown."""
@@ -99,9 +113,9 @@ class Occupancy:
 
     def assume(self, cells: Bools, occupied: bool, height_m: Floats | float) -> None:
         """Set cells to the evidence of one look."""
-        odds = self._hit if occupied else _log_odds(self._config.p_min)
-        self._log_odds[cells] = odds
-        self._background[cells] = math.copysign(1.0, odds)
+        side = 1.0 if occupied else -1.0
+        self._log_odds[cells] = side * self._hit
+        self._background[cells] = side
         self._height_m[cells] = height_m
 
     def add(self, look: Look, stays: Bools, tolerance_m: float) -> None:
@@ -116,15 +130,15 @@ class Occupancy:
         low = look.hit & ~before & (look.top_m <= self._height_m + tolerance_m)
         self._background[low] = 0.0
         self._forget(self.come & ~look.hit & ~stays, look.elapsed_s)
-        odds = self._log_odds + self._hit * (1.0 * look.hit - passed)
-        least, most = _log_odds(self._config.p_min), _log_odds(self._config.p_max)
-        seen = look.hit | passed
-        self._log_odds[seen] = odds[seen].clip(least, most)
+        # A hit makes every cell occupied: one look can save a person.
+        hit = np.minimum(np.maximum(self._log_odds, 0.0) + self._hit, self._most)
+        miss = np.maximum(self._log_odds - self._hit, -self._hit)
+        self._log_odds = np.where(look.hit, hit, np.where(passed, miss, self._log_odds))
         self._learn_heights(look, passed, before)
-        self._learn_background(seen, look.elapsed_s)
+        self._learn_background(look.hit | passed, look.elapsed_s)
 
     def _forget(self, cells: Bools, elapsed_s: float) -> None:
-        self._log_odds[cells] *= 0.5 ** (elapsed_s / self._config.forgets_s)
+        self._log_odds[cells] *= 0.5 ** (elapsed_s / self._config.moves_s)
         gone = cells & (self._log_odds < self._hit / 2.0)
         self.assume(gone, occupied=False, height_m=np.inf)
 
@@ -137,15 +151,17 @@ class Occupancy:
         self._height_m = np.where(now, top_m, free_m)
 
     def _learn_background(self, seen: Bools, elapsed_s: float) -> None:
-        share = 1.0 - 0.5 ** (elapsed_s / self._config.stands_s)
         now = np.where(self.occupied, 1.0, -1.0)
         first = self._background == 0.0
-        mean = np.where(first, now, self._background + share * (now - self._background))
-        self._background[seen] = mean[seen]
+        background = now + (self._background - now) * self._kept(elapsed_s)
+        self._background[seen] = np.where(first, now, background)[seen]
 
+    def _kept(self, elapsed_s: float) -> float:
+        return float(0.5 ** (elapsed_s / self._config.stands_s))
 
-def _log_odds(probability: float) -> float:
-    return math.log(probability / (1.0 - probability))
+    def _after(self, stands_s: float) -> float:
+        """Return the background of a cell that was free, and has been occupied for a time."""
+        return 1.0 - 2.0 * self._kept(stands_s)
 
 
 def _shifted(grid: Floats, cells: tuple[int, int]) -> Floats:

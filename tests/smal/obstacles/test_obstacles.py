@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smal.movement import Atom
-from smal.obstacles.avoidance import hit_m, turn_round
+from smal.obstacles.avoidance import Turns, hit_m, turn_round
 from smal.obstacles.clearance import Surroundings, most_speed, scan
 from tests.smal.depth_world import MOUNT, MOVEMENTS, Box, depth, moved, touches
 
@@ -138,6 +138,7 @@ def test_robot_stands_before_an_obstacle(
 KNOWN_M = 4.0  # Aside of the way.
 END_M = 16.0
 TURN_RAD = float(MOVEMENTS[Atom.LEFT, 1])
+TURNS = Turns(TURN_RAD, float(MOVEMENTS[Atom.FORWARD, 0]), KNOWN_M)
 
 
 def drive(boxes: Sequence[Box], ticks: int = 400) -> tuple[np.ndarray, int]:
@@ -155,8 +156,8 @@ def drive(boxes: Sequence[Box], ticks: int = 400) -> tuple[np.ndarray, int]:
             [[c, -s], [s, c]]
         )
         turn: float | None = math.atan2(way[0, 1], way[0, 0])
-        if hit_m(around, way) < math.inf:
-            turn = turn_round(around, way, TURN_RAD, float(MOVEMENTS[Atom.FORWARD, 0]), KNOWN_M)
+        if hit_m(around, way, around.body_m) < math.inf:
+            turn = turn_round(around, way, TURNS)
         if turn is None:
             blocked += 1
             continue
@@ -199,7 +200,7 @@ def test_robot_turns_back_when_it_faces_away_from_an_obstacle(heading: float) ->
     c = math.cos(heading)
     s = math.sin(heading)
     way = np.stack([np.arange(1.4, 7.8, 0.35), np.zeros(19)], axis=1) @ np.array([[c, -s], [s, c]])
-    turn = turn_round(made, way, TURN_RAD, float(MOVEMENTS[Atom.FORWARD, 0]), KNOWN_M)
+    turn = turn_round(made, way, TURNS)
     assert turn is not None
     assert abs(heading + turn) < 0.8
 
@@ -214,7 +215,7 @@ def test_robot_waits_when_no_way_leads_round() -> None:
 def test_a_way_costs_no_memory_when_it_lies_far_away(far_m: float) -> None:
     way = np.stack([far_m + np.arange(0.0, 7.0, 0.35), np.full(20, -far_m)], axis=1)
     tracemalloc.start()
-    assert hit_m(around(), way) == math.inf
+    assert hit_m(around(), way, MOUNT.radius_m) == math.inf
     _, peak_bytes = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak_bytes < 2_000_000
