@@ -1,7 +1,6 @@
-"""Log-odds occupancy grid (Moravec and Elfes 1985) with a background, which shows what has come.
+"""Log-odds occupancy grid (Moravec and Elfes 1985) that distinguishes what has come.
 
-The background of a cell is its mean occupancy over the last seconds in which it was seen. An
-occupied cell with a free background has an obstacle that has come. Free evidence holds down to the
+An obstacle has come if its cell was free some seconds before. Free evidence holds down to the
 height that the camera showed at that distance: a low obstacle that comes into view has not come.
 """
 
@@ -32,10 +31,11 @@ class GridConfig:
     p_hit: float = 0.7
     #: Maximum probability of a cell: five looks through the cell disprove an obstacle.
     p_max: float = 0.97
-    #: Half-life of an obstacle that has come and is out of view, seconds. For so long it counts as
-    #: moving: a person has then walked out of the way, or stands.
-    moves_s: float = 1.0
-    #: Half-life of the background, seconds: an obstacle that stands for so long is part of it.
+    #: Half-life of the evidence for an obstacle that has come and is out of view, seconds.
+    forgets_s: float = 1.0
+    #: An obstacle counts as moving for this time, and as come for this time, seconds. People stand
+    #: for seconds, and step back when the robot does.
+    moves_s: float = 0.5
     stands_s: float = 10.0
     #: Cells a radius of the robot: errors of distance are about a cell.
     cells_radius: int = 4
@@ -80,8 +80,8 @@ class Occupancy:
         self._hit = math.log(config.p_hit / (1.0 - config.p_hit))
         self._most = math.log(config.p_max / (1.0 - config.p_max))
         self._log_odds = np.zeros((side, side))
-        #: Mean occupancy, -1 (always free) to 1 (always occupied).
-        self._background = np.zeros((side, side))
+        #: Time for which an obstacle was seen since the cell was free; infinite if it never was.
+        self._stands_s = np.full((side, side), np.inf)
         #: Top of an occupied cell. In a free cell, obstacles below this height are possible.
         self._height_m = np.zeros((side, side))
 
@@ -97,25 +97,24 @@ class Occupancy:
 
     @property
     def come(self) -> Bools:
-        """Cells with an obstacle that were mostly free."""
-        return self.occupied & (self._background < 0.0)
+        """Cells of obstacles that were free some seconds before."""
+        return self.occupied & (self._stands_s < self._config.stands_s)
 
     @property
     def moving(self) -> Bools:
-        """Cells with an obstacle that were free until a moment ago."""
-        return self.occupied & (self._background < self._after(self._config.moves_s))
+        """Cells of obstacles that were free a moment before."""
+        return self.occupied & (self._stands_s < self._config.moves_s)
 
     def shift(self, cells: tuple[int, int]) -> None:
         """Move the content by cells; new cells are unknown."""
-        self._log_odds = _shifted(self._log_odds, cells)
-        self._background = _shifted(self._background, cells)
-        self._height_m = _shifted(self._height_m, cells)
+        self._log_odds = _shifted(self._log_odds, cells, 0.0)
+        self._stands_s = _shifted(self._stands_s, cells, np.inf)
+        self._height_m = _shifted(self._height_m, cells, 0.0)
 
     def assume(self, cells: Bools, occupied: bool, height_m: Floats | float) -> None:
         """Set cells to the evidence of one look."""
-        side = 1.0 if occupied else -1.0
-        self._log_odds[cells] = side * self._hit
-        self._background[cells] = side
+        self._log_odds[cells] = self._hit if occupied else -self._hit
+        self._stands_s[cells] = np.inf if occupied else 0.0
         self._height_m[cells] = height_m
 
     def add(self, look: Look, stays: Bools, tolerance_m: float) -> None:
@@ -128,17 +127,18 @@ class Occupancy:
         passed = look.passed & ~look.hit & ~(before & (self._height_m <= look.least_m))
         # Looks from further away did not show a low obstacle: its cell was never free.
         low = look.hit & ~before & (look.top_m <= self._height_m + tolerance_m)
-        self._background[low] = 0.0
+        self._stands_s[low] = np.inf
         self._forget(self.come & ~look.hit & ~stays, look.elapsed_s)
         # A hit makes every cell occupied: one look can save a person.
         hit = np.minimum(np.maximum(self._log_odds, 0.0) + self._hit, self._most)
         miss = np.maximum(self._log_odds - self._hit, -self._hit)
         self._log_odds = np.where(look.hit, hit, np.where(passed, miss, self._log_odds))
         self._learn_heights(look, passed, before)
-        self._learn_background(look.hit | passed, look.elapsed_s)
+        self._stands_s = np.where(look.hit, self._stands_s + look.elapsed_s, self._stands_s)
+        self._stands_s[self._log_odds < 0.0] = 0.0
 
     def _forget(self, cells: Bools, elapsed_s: float) -> None:
-        self._log_odds[cells] *= 0.5 ** (elapsed_s / self._config.moves_s)
+        self._log_odds[cells] *= 0.5 ** (elapsed_s / self._config.forgets_s)
         gone = cells & (self._log_odds < self._hit / 2.0)
         self.assume(gone, occupied=False, height_m=np.inf)
 
@@ -150,23 +150,10 @@ class Occupancy:
         free_m = np.where(passed, np.minimum(free_m, look.least_m), free_m)
         self._height_m = np.where(now, top_m, free_m)
 
-    def _learn_background(self, seen: Bools, elapsed_s: float) -> None:
-        now = np.where(self.occupied, 1.0, -1.0)
-        first = self._background == 0.0
-        background = now + (self._background - now) * self._kept(elapsed_s)
-        self._background[seen] = np.where(first, now, background)[seen]
 
-    def _kept(self, elapsed_s: float) -> float:
-        return float(0.5 ** (elapsed_s / self._config.stands_s))
-
-    def _after(self, stands_s: float) -> float:
-        """Return the background of a cell that was free, and has been occupied for a time."""
-        return 1.0 - 2.0 * self._kept(stands_s)
-
-
-def _shifted(grid: Floats, cells: tuple[int, int]) -> Floats:
+def _shifted(grid: Floats, cells: tuple[int, int], new: float) -> Floats:
     side = len(grid)
-    moved = np.zeros_like(grid)
+    moved = np.full_like(grid, new)
     x, y = (min(max(step, -side), side) for step in cells)
     to = np.s_[max(x, 0) : side + min(x, 0), max(y, 0) : side + min(y, 0)]
     of = np.s_[max(-x, 0) : side + min(-x, 0), max(-y, 0) : side + min(-y, 0)]
