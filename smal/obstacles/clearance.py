@@ -307,18 +307,20 @@ class Surroundings:
     @cached_property
     def come(self) -> Bools:
         """Cells of obstacles that have come within the last seconds."""
-        return self._apart(self._grid.come)
+        return self._new(self.config.stands_s)
 
     @cached_property
     def moving(self) -> Bools:
         """Cells of obstacles that have come within the last moment."""
-        return self._apart(self._grid.moving)
+        return self._new(self.config.moves_s)
 
-    def _apart(self, new: Bools) -> Bools:
-        """Return the new occupied cells, without the edges of obstacles that stood before."""
+    def _new(self, time_s: float) -> Bools:
+        """Return the cells occupied for less than a time, without edges of older obstacles."""
         edge_m = self.config.ground_m + self.config.ground_slope * self.reach_m
-        stood = binary_dilation(self.occupied & ~new, iterations=math.ceil(edge_m / self.cell_m))
-        return np.asarray(new & ~stood)
+        edge = math.ceil(edge_m / self.cell_m)
+        return self._grid.stood_less(time_s) & ~binary_dilation(
+            self._grid.stood(time_s), iterations=edge
+        )
 
     def has_come(self, turn_rad: float) -> bool:
         """Return whether the nearest obstacle in a direction, to the left of ahead, has come."""

@@ -80,7 +80,8 @@ class Occupancy:
         self._hit = math.log(config.p_hit / (1.0 - config.p_hit))
         self._most = math.log(config.p_max / (1.0 - config.p_max))
         self._log_odds = np.zeros((side, side))
-        #: Time for which an obstacle was seen since the cell was free; infinite if it never was.
+        #: Time for which an obstacle was seen since the cell was free; infinite if it never was, and
+        #: not a number if looks over the obstacle cannot have shown it.
         self._stands_s = np.full((side, side), np.inf)
         #: Top of an occupied cell. In a free cell, obstacles below this height are possible.
         self._height_m = np.zeros((side, side))
@@ -98,12 +99,15 @@ class Occupancy:
     @property
     def come(self) -> Bools:
         """Cells of obstacles that were free some seconds before."""
-        return self.occupied & (self._stands_s < self._config.stands_s)
+        return self.stood_less(self._config.stands_s)
 
-    @property
-    def moving(self) -> Bools:
-        """Cells of obstacles that were free a moment before."""
-        return self.occupied & (self._stands_s < self._config.moves_s)
+    def stood_less(self, time_s: float) -> Bools:
+        """Return the cells of obstacles that were free, and have stood for less than a time."""
+        return self.occupied & (self._stands_s < time_s)
+
+    def stood(self, time_s: float) -> Bools:
+        """Return the cells of obstacles that have stood for a time, or were never free."""
+        return self.occupied & (self._stands_s >= time_s)
 
     def shift(self, cells: tuple[int, int]) -> None:
         """Move the content by cells; new cells are unknown."""
@@ -125,9 +129,9 @@ class Occupancy:
         before = self.occupied
         # A look over an obstacle does not disprove it.
         passed = look.passed & ~look.hit & ~(before & (self._height_m <= look.least_m))
-        # Looks from further away did not show a low obstacle: its cell was never free.
+        # Looks from further away cannot have shown a low obstacle.
         low = look.hit & ~before & (look.top_m <= self._height_m + tolerance_m)
-        self._stands_s[low] = np.inf
+        self._stands_s[low] = np.nan
         self._forget(self.come & ~look.hit & ~stays, look.elapsed_s)
         # A hit makes every cell occupied: one look can save a person.
         hit = np.minimum(np.maximum(self._log_odds, 0.0) + self._hit, self._most)

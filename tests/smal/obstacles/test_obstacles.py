@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smal.movement import Atom
-from smal.obstacles.avoidance import Turns, hit_m, turn_round
+from smal.obstacles.avoidance import Turns, hit_m, turn_round, way_round
 from smal.obstacles.clearance import Surroundings, most_speed, scan
 from tests.smal.depth_world import MOUNT, MOVEMENTS, Box, depth, moved, touches
 
@@ -103,6 +103,36 @@ def test_robot_keeps_off_walkers_and_passes_standing_things() -> None:
         made.look(HERE, depth([walks[-1]], HERE), MOUNT)
     assert not made.moving.any()
     assert made.free_m(ahead=True) > 3.5
+
+
+LYING: Box = (8.0, -0.3, 9.7, 0.3, 0.28)
+
+
+@pytest.mark.parametrize("step_m", [0.1, 0.2])
+def test_lying_person_has_not_come_when_it_comes_into_view(step_m: float) -> None:
+    made = Surroundings(MOUNT.radius_m)
+    for x_m in np.arange(0.0, 6.5, step_m):
+        pose = (x_m, 0.0, 0.0)
+        made.look(pose, depth([LYING], pose, shape=(240, 320)), MOUNT)
+        assert not made.has_come(0.0)
+    assert made.free_m(ahead=True) < 2.0
+
+
+def test_lying_person_has_come_when_the_place_was_seen_free() -> None:
+    made = Surroundings(MOUNT.radius_m)
+    pose = (6.0, 0.0, 0.0)
+    for boxes in [[]] * 5 + [[LYING]] * 5:
+        made.look(pose, depth(boxes, pose, shape=(240, 320)), MOUNT)
+    assert made.has_come(0.0)
+
+
+def test_low_obstacle_stays_when_it_is_too_far_away_to_be_seen() -> None:
+    low: Box = (3.0, -0.2, 3.4, 0.2, 0.2)
+    made = around(low)
+    for x_m in np.arange(0.0, -1.5, -0.1):
+        pose = (x_m, 0.0, 0.0)
+        made.look(pose, depth([low], pose), MOUNT)
+    assert made.occupied[made.cells(np.array([3.0 + 1.4, 0.0]))]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -209,6 +239,16 @@ def test_robot_waits_when_no_way_leads_round() -> None:
     poses, blocked = drive([(6.0, -8.0, 6.3, 8.0, 1.0)], ticks=200)
     assert blocked > 100
     assert poses[-1, 0] < 6.0
+
+
+@pytest.mark.parametrize(("evades", "follows"), [(False, True), (True, False)])
+def test_taught_way_is_free_when_it_is_narrow(evades: bool, follows: bool) -> None:
+    """The obstacle stands 4 cm beside the robot: less than the margin of a way around."""
+    aside_m = MOUNT.radius_m + 0.04
+    made = around((2.5, aside_m, 3.0, 3.0, 1.0))
+    way = np.stack([np.arange(1.4, 7.8, 0.35), np.zeros(19)], axis=1)
+    turn = way_round(made, way, TURNS, 0.01, evades)
+    assert (turn == 0.01) == follows
 
 
 @pytest.mark.parametrize("far_m", [1e4, 1e6])
