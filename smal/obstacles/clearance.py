@@ -49,11 +49,11 @@ class Scan(NamedTuple):
     #: Fall of the lowest rays a metre: nearer objects can be below them.
     falls: float
 
-    def least_m(self, ahead_m: Floats, mount: Mount, config: GridConfig) -> Floats:
+    def least_m(self, ahead_m: Floats, config: GridConfig) -> Floats:
         """Return the height above the ground from which on the image shows obstacles."""
         pixel = self.across[0] - self.across[1]
-        rises_m = (config.ground_slope + (config.least_pixels - 1) * pixel) * ahead_m
-        return np.maximum(config.ground_m + rises_m, mount.height_m - ahead_m * self.falls)
+        rises = config.ground_slope + (config.least_pixels - 1) * pixel
+        return np.asarray(config.ground_m + rises * ahead_m)
 
 
 def above_ground(up_m: Floats, ahead_m: Floats, config: GridConfig = GRID_CONFIG) -> Bools:
@@ -231,11 +231,13 @@ class Surroundings:
         top_m = np.zeros(ahead.shape)
         np.maximum.at(top_m, (cells[0][hits], cells[1][hits]), self.seen.top_m[hits])
         passed = inside & (ahead < self.seen.free_m[column] - self.cell_m / 2.0)
+        lowest_m = mount.height_m - ahead * self.seen.falls
         look = Look(
             hit=top_m > 0.0,
             passed=passed,
             top_m=top_m,
-            least_m=self.seen.least_m(ahead, mount, self.config),
+            lowest_m=lowest_m,
+            least_m=np.maximum(self.seen.least_m(ahead, self.config), lowest_m),
             elapsed_s=elapsed_s,
         )
         # Next to the robot, where the camera does not look, people can stand still.

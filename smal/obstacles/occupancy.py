@@ -59,8 +59,10 @@ class Look:
         Whether the image shows an obstacle in the cell, or space behind the cell.
     top_m
         Visible top of the obstacle.
+    lowest_m
+        Height of the lowest ray in the cell.
     least_m
-        Height from which on the image shows obstacles in the cell.
+        Height from which on the image certainly shows obstacles in the cell.
     elapsed_s
         Time since the look before, seconds.
     """
@@ -68,6 +70,7 @@ class Look:
     hit: Bools
     passed: Bools
     top_m: Floats
+    lowest_m: Floats
     least_m: Floats
     elapsed_s: float
 
@@ -83,8 +86,8 @@ class Occupancy:
         #: Time for which an obstacle was seen since the cell was free; infinite if it never was, and
         #: not a number if looks over the obstacle cannot have shown it.
         self._stands_s = np.full((side, side), np.inf)
-        #: Top of an occupied cell. In a free cell, obstacles below this height are possible.
-        self._height_m = np.zeros((side, side))
+        #: Top of an occupied cell. In other cells, obstacles below this height are possible.
+        self._height_m = np.full((side, side), np.inf)
 
     @property
     def occupied(self) -> Bools:
@@ -113,7 +116,7 @@ class Occupancy:
         """Move the content by cells; new cells are unknown."""
         self._log_odds = _shifted(self._log_odds, cells, 0.0)
         self._stands_s = _shifted(self._stands_s, cells, np.inf)
-        self._height_m = _shifted(self._height_m, cells, 0.0)
+        self._height_m = _shifted(self._height_m, cells, np.inf)
 
     def assume(self, cells: Bools, occupied: bool, height_m: Floats | float) -> None:
         """Set cells to the evidence of one look."""
@@ -128,9 +131,10 @@ class Occupancy:
         """
         before = self.occupied
         # A look over an obstacle does not disprove it.
-        passed = look.passed & ~look.hit & ~(before & (self._height_m <= look.least_m))
+        passed = look.passed & ~look.hit & ~(before & (self._height_m <= look.lowest_m))
         # Looks from further away cannot have shown a low obstacle.
-        low = look.hit & ~before & (look.top_m <= self._height_m + tolerance_m)
+        free = self._log_odds < 0.0
+        low = look.hit & free & (look.top_m <= self._height_m + tolerance_m)
         self._stands_s[low] = np.nan
         self._forget(self.come & ~look.hit & ~stays, look.elapsed_s)
         # A hit makes every cell occupied: one look can save a person.
@@ -149,7 +153,7 @@ class Occupancy:
     def _learn_heights(self, look: Look, passed: Bools, before: Bools) -> None:
         now = self.occupied
         top_m = np.where(before, self._height_m, 0.0)
-        free_m = np.where(before | self.unknown, np.inf, self._height_m)
+        free_m = np.where(before, np.inf, self._height_m)
         top_m = np.where(look.hit, np.maximum(top_m, look.top_m), top_m)
         free_m = np.where(passed, np.minimum(free_m, look.least_m), free_m)
         self._height_m = np.where(now, top_m, free_m)

@@ -126,15 +126,6 @@ def test_lying_person_has_come_when_the_place_was_seen_free() -> None:
     assert made.has_come(0.0)
 
 
-def test_low_obstacle_stays_when_it_is_too_far_away_to_be_seen() -> None:
-    low: Box = (3.0, -0.2, 3.4, 0.2, 0.2)
-    made = around(low)
-    for x_m in np.arange(0.0, -1.5, -0.1):
-        pose = (x_m, 0.0, 0.0)
-        made.look(pose, depth([low], pose), MOUNT)
-    assert made.occupied[made.cells(np.array([3.0 + 1.4, 0.0]))]
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_standing_things_do_not_move_when_the_robot_does(seed: int) -> None:
     rng = np.random.default_rng(seed)
