@@ -218,7 +218,7 @@ class Surroundings:
     ) -> bool:
         """Move to the odometry pose, and add a depth image; return whether it contains a scan.
 
-        ``elapsed_s`` is the time since the look before, seconds.
+        ``elapsed_s`` is the time since the look before, seconds; a longer gap counts as a second.
         """
         self.move(pose)
         self.seen = None if depth_m is None else scan(depth_m, mount, self.config)
@@ -238,7 +238,7 @@ class Surroundings:
             top_m=top_m,
             lowest_m=lowest_m,
             least_m=np.maximum(self.seen.least_m(ahead, self.config), lowest_m),
-            elapsed_s=elapsed_s,
+            elapsed_s=min(max(elapsed_s, 0.0), 1.0),
         )
         # Next to the robot, where the camera does not look, people can stand still.
         self._grid.add(look, self._beside_view, self.config.ground_m)
