@@ -335,7 +335,8 @@ class Robot:
         elif depth is not None:
             _, mount = depth
             self._around = self._around or Surroundings(mount.radius_m)
-            self._around.look(odometry, *depth)
+            tick_s = self._map.tick_s if elapsed_s is None else elapsed_s
+            self._around.look(odometry, *depth, tick_s)
         elif self._around is not None:
             self._around.move(odometry)
         self.decision = self._planner.decide(

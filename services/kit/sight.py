@@ -15,6 +15,7 @@ class ObstacleSight:
         self._depth: DepthImage | None = None
         self.mount: Mount | None = None  # Position of the depth camera.
         self._around: tuple[str, Surroundings] | None = None
+        self._stamp_ns = 0  # Of the odometry at the last look.
 
     def roll(self, odometry: Odometry) -> None:
         """Store the pose by odometry."""
@@ -40,5 +41,7 @@ class ObstacleSight:
             self._around = episode, Surroundings(mount.radius_m)
         # If the image belongs to another frame, only the odometry is used.
         image = (depth.to_numpy() / 1000.0).astype(np.float32) if depth.tick == now.tick else None
-        self._around[1].look((now.x_m, now.y_m, now.heading_rad), image, mount)
+        elapsed_s = (now.stamp_ns - self._stamp_ns) / 1e9
+        self._stamp_ns = now.stamp_ns
+        self._around[1].look((now.x_m, now.y_m, now.heading_rad), image, mount, elapsed_s)
         return self._around[1]

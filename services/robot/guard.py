@@ -81,7 +81,10 @@ class Guard:
         if depth_m is None:
             return
         taken_s, there = self._capture_time.estimate(depth_m)
-        if captured_s - taken_s > MAX_LOOK_S or not self._around.look(there, depth_m, self._mount):
+        if captured_s - taken_s > MAX_LOOK_S:
+            return
+        elapsed_s = taken_s - self._known.taken_s
+        if not self._around.look(there, depth_m, self._mount, elapsed_s):
             return
         known = _Known(self._around.snapshot(), taken_s)
         with self._lock:

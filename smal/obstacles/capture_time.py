@@ -18,7 +18,8 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from smal.arrays import Float32s, Floats
 from smal.movement import placed, seen_from
-from smal.obstacles.clearance import GRID_CONFIG, Mount, above_ground
+from smal.obstacles.clearance import Mount, above_ground
+from smal.obstacles.occupancy import GRID_CONFIG
 
 #: Longest delay among the hypotheses, seconds. A longer one counts as this: both are too old for driving.
 LONGEST_S: Final = 1.0

@@ -1,8 +1,8 @@
 """The behaviours of a robot on the way to its goal, in their order of priority.
 
 In every frame each behaviour first updates its clock by the last motion of the robot. Then the first behaviour with a
-proposal decides: `Done`, `Search`, `Blind`, `Follow`, `LookAround`, `Guess`, `DeadEnd`. If an obstacle blocks the
-proposal, `Wait` changes it.
+proposal decides: `Done`, `Search`, `Blind`, `BackOff`, `Follow`, `LookAround`, `Guess`, `DeadEnd`.
+If an obstacle blocks the proposal, `Wait` changes it.
 """
 
 import math
@@ -15,7 +15,7 @@ from smal.arrays import Floats
 from smal.filter import Belief
 from smal.map import VisualMap
 from smal.movement import STANDS, Motion
-from smal.obstacles.avoidance import way_round
+from smal.obstacles.avoidance import Turns, way_round
 from smal.obstacles.clearance import Surroundings
 from smal.planning.route import Route
 from smal.planning.steering import Chassis, Intent, Kind
@@ -289,6 +289,48 @@ class Blind(Behaviour):
         return None
 
 
+class BackOff(Behaviour):
+    """Back off if the wheels stand although the robot drives; the second time, look around.
+
+    Only a robot with a depth camera and odometry backs off.
+    """
+
+    def __init__(self, taught: VisualMap, chassis: Chassis, look: LookAround) -> None:
+        self._odometry = taught.odometry
+        self._chassis = chassis
+        self._look = look
+        self._stands_s = 0.0
+        self._backs_s = 0.0
+        self._driven = math.inf  # Way ahead since the robot last backed off.
+        self._in_vain = False
+
+    def note(self, now: Situation) -> None:
+        """Count the time for which the wheels stand."""
+        self._backs_s = max(self._backs_s - now.elapsed_s, 0.0)
+        if now.around is None or not self._odometry or now.motion[0] <= 0.0:
+            return
+        commanded = self._chassis.speed * now.motion[0] * now.elapsed_s
+        stands = now.around.moved_m < 0.1 * commanded
+        self._stands_s = self._stands_s + now.elapsed_s if stands else 0.0
+        self._driven += now.around.moved_m
+        if self._stands_s < self._chassis.config.stalls_s:
+            return
+        self._in_vain = self._driven < self._chassis.lookahead
+        if self._in_vain:
+            self._look.again()
+        self._stands_s = 0.0
+        self._backs_s = self._chassis.config.stalls_s
+        self._driven = 0.0
+
+    def propose(self, now: Situation) -> Intent | None:
+        """Back off as far as the space behind is known to be free, then look around if due."""
+        if now.around is None or self._driven >= self._chassis.lookahead:
+            return None
+        if self._backs_s > 0.0 and now.around.free_m(ahead=False) > 0.0:
+            return Intent("blocked", (-1.0, 0.0), now.heading_rad)
+        return self._look.propose(now) if self._in_vain else None
+
+
 class Follow(Behaviour):
     """Drive along the taught way if the direction is clear."""
 
@@ -343,6 +385,7 @@ class Wait:
         self._goes_round = taught.odometry and not chassis.car
         self._blocked_s = 0.0
         self._closed_s = 0.0
+        self._evades = False  # Whether the last proposal led around an obstacle.
 
     @property
     def in_vain(self) -> bool:
@@ -408,9 +451,10 @@ class Wait:
         taught = self._taught
         way = self._mission.route.way_ahead(belief, self._chassis.lookahead, around.reach_m)
         step_m = self._chassis.speed * taught.tick_s
-        return way_round(
-            around, way, taught.turn_rad, step_m, taught.correlation_length, heading_rad
-        )
+        turns = Turns(taught.turn_rad, step_m, taught.correlation_length)
+        round_rad = way_round(around, way, turns, heading_rad, self._evades)
+        self._evades = round_rad != heading_rad
+        return round_rad
 
     def _before_strange_ground(self, intent: Intent, now: Situation) -> Intent:
         """Slow down and stop before unexpected ground, except on the way to a visible target."""

@@ -38,6 +38,8 @@ class PlannerConfig:
     tracked: float = 2.0
     #: Time, by the clock, that a car stands at the end before it reports that the goal is not there.
     stands_s: float = 1.0
+    #: Time, by the clock, for which the wheels stand before the robot backs off, and backs off.
+    stalls_s: float = 1.0
     #: Time, by the clock, that the robot waits before an obstacle without a way round: people have left by then.
     waits_s: float = 5.0
     #: Time, by the clock, that a blocked way stays closed.

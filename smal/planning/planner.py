@@ -14,6 +14,7 @@ from smal.map import VisualMap
 from smal.movement import Motion
 from smal.obstacles.clearance import Surroundings
 from smal.planning.behaviours import (
+    BackOff,
     Behaviour,
     Blind,
     DeadEnd,
@@ -88,9 +89,11 @@ class Planner:
         look = LookAround(self._taught, self._chassis)
         self._search = Search(self._taught, self._chassis, self._mission, look)
         self._wait = Wait(self._taught, self._chassis, self._mission, look)
+        back_off = BackOff(self._taught, self._chassis, look)
         follow = Follow(look, self._wait)
         self._behaviours: tuple[Behaviour, ...] = (
-            Done(self._mission), self._search, Blind(look), follow, look, Guess(), DeadEnd(self._mission)
+            Done(self._mission), self._search, Blind(look), back_off, follow, look, Guess(),
+            DeadEnd(self._mission),
         )  # fmt: skip
 
     @property

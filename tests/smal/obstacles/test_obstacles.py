@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smal.movement import Atom
-from smal.obstacles.avoidance import hit_m, turn_round
+from smal.obstacles.avoidance import Turns, hit_m, turn_round, way_round
 from smal.obstacles.clearance import Surroundings, most_speed, scan
 from tests.smal.depth_world import MOUNT, MOVEMENTS, Box, depth, moved, touches
 
@@ -105,6 +105,27 @@ def test_robot_keeps_off_walkers_and_passes_standing_things() -> None:
     assert made.free_m(ahead=True) > 3.5
 
 
+LYING: Box = (8.0, -0.3, 9.7, 0.3, 0.28)
+
+
+@pytest.mark.parametrize("step_m", [0.1, 0.2])
+def test_lying_person_has_not_come_when_it_comes_into_view(step_m: float) -> None:
+    made = Surroundings(MOUNT.radius_m)
+    for x_m in np.arange(0.0, 6.5, step_m):
+        pose = (x_m, 0.0, 0.0)
+        made.look(pose, depth([LYING], pose, shape=(240, 320)), MOUNT)
+        assert not made.has_come(0.0)
+    assert made.free_m(ahead=True) < 2.0
+
+
+def test_lying_person_has_come_when_the_place_was_seen_free() -> None:
+    made = Surroundings(MOUNT.radius_m)
+    pose = (6.0, 0.0, 0.0)
+    for boxes in [[]] * 5 + [[LYING]] * 5:
+        made.look(pose, depth(boxes, pose, shape=(240, 320)), MOUNT)
+    assert made.has_come(0.0)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_standing_things_do_not_move_when_the_robot_does(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -138,6 +159,7 @@ def test_robot_stands_before_an_obstacle(
 KNOWN_M = 4.0  # Aside of the way.
 END_M = 16.0
 TURN_RAD = float(MOVEMENTS[Atom.LEFT, 1])
+TURNS = Turns(TURN_RAD, float(MOVEMENTS[Atom.FORWARD, 0]), KNOWN_M)
 
 
 def drive(boxes: Sequence[Box], ticks: int = 400) -> tuple[np.ndarray, int]:
@@ -155,8 +177,8 @@ def drive(boxes: Sequence[Box], ticks: int = 400) -> tuple[np.ndarray, int]:
             [[c, -s], [s, c]]
         )
         turn: float | None = math.atan2(way[0, 1], way[0, 0])
-        if hit_m(around, way) < math.inf:
-            turn = turn_round(around, way, TURN_RAD, float(MOVEMENTS[Atom.FORWARD, 0]), KNOWN_M)
+        if hit_m(around, way, around.body_m) < math.inf:
+            turn = turn_round(around, way, TURNS)
         if turn is None:
             blocked += 1
             continue
@@ -199,7 +221,7 @@ def test_robot_turns_back_when_it_faces_away_from_an_obstacle(heading: float) ->
     c = math.cos(heading)
     s = math.sin(heading)
     way = np.stack([np.arange(1.4, 7.8, 0.35), np.zeros(19)], axis=1) @ np.array([[c, -s], [s, c]])
-    turn = turn_round(made, way, TURN_RAD, float(MOVEMENTS[Atom.FORWARD, 0]), KNOWN_M)
+    turn = turn_round(made, way, TURNS)
     assert turn is not None
     assert abs(heading + turn) < 0.8
 
@@ -210,11 +232,21 @@ def test_robot_waits_when_no_way_leads_round() -> None:
     assert poses[-1, 0] < 6.0
 
 
+@pytest.mark.parametrize(("evades", "follows"), [(False, True), (True, False)])
+def test_taught_way_is_free_when_it_is_narrow(evades: bool, follows: bool) -> None:
+    """The obstacle stands 4 cm beside the robot: less than the margin of a way around."""
+    aside_m = MOUNT.radius_m + 0.04
+    made = around((2.5, aside_m, 3.0, 3.0, 1.0))
+    way = np.stack([np.arange(1.4, 7.8, 0.35), np.zeros(19)], axis=1)
+    turn = way_round(made, way, TURNS, 0.01, evades)
+    assert (turn == 0.01) == follows
+
+
 @pytest.mark.parametrize("far_m", [1e4, 1e6])
 def test_a_way_costs_no_memory_when_it_lies_far_away(far_m: float) -> None:
     way = np.stack([far_m + np.arange(0.0, 7.0, 0.35), np.full(20, -far_m)], axis=1)
     tracemalloc.start()
-    assert hit_m(around(), way) == math.inf
+    assert hit_m(around(), way, MOUNT.radius_m) == math.inf
     _, peak_bytes = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak_bytes < 2_000_000

@@ -131,3 +131,25 @@ def test_search_ends_when_a_thing_stands_before_the_target() -> None:
         planner.decide(end, seen=Glimpse(0.999, 0.3, 0.0), around=made) for _ in range(150)
     ]
     assert (decisions[0].kind, decisions[-1].kind, planner.said) == ("blocked", "goal", "not_here")
+
+
+def test_robot_backs_off_then_looks_around_when_its_wheels_stand() -> None:
+    planner = Planner(map_of(16.0))
+    made = looks([])
+    x = 0.0
+    decisions = []
+    for _ in range(50):
+        made.move((x, 0.0, 0.0))
+        decisions.append(planner.decide(belief((HERE, x, 0.0, 0.0)), around=made))
+        x += 0.02 * min(decisions[-1].motion[0], 0.0)
+    kinds = [kind for kind, _ in groupby(decision.kind for decision in decisions)]
+    assert kinds == ["follow", "blocked", "follow", "blocked", "look_around"]
+    assert -1.0 < x < -0.1
+
+
+def test_robot_drives_on_when_its_wheels_turn() -> None:
+    planner = Planner(map_of(16.0))
+    made = looks([])
+    for x in np.arange(0.0, 4.0, 0.1):
+        made.look((x, 0.0, 0.0), depth([], (x, 0.0, 0.0)), MOUNT)
+        assert planner.decide(belief((HERE, x, 0.0, 0.0)), around=made).motion[0] > 0.0
