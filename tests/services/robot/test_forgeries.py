@@ -38,7 +38,7 @@ def test_no_forged_command_reaches_the_gate(
     run_node(node)
     ready(client, "robot")
     encoding = encoding_of(Command)
-    latched = gate.emergency_stop
+    latched = gate.latched_stop
     with stranger(router_endpoint) as session:
         for source in SOURCES:
             key = COMMANDS[source].key("rescuebot")
@@ -56,5 +56,5 @@ def test_no_forged_command_reaches_the_gate(
         )
     status = status_of(client, "robot")
     assert set(status.received) <= {PULSE.name}  # its own
-    assert gate.emergency_stop == latched + each[COMMANDS["emergency_stop"].name]
+    assert gate.latched_stop == latched + each[COMMANDS["emergency_stop"].name]
     assert gate.stop_cause == "emergency_stop"

@@ -57,7 +57,7 @@ class Policy:
 
 def drive(client: Bus, robot: Robot) -> None:
     """Have the policy drive the robot."""
-    client.call("robot", "arm", ArmRequest(stop=robot.gate.emergency_stop), Nothing)
+    client.call("robot", "arm", ArmRequest(stop=robot.gate.latched_stop), Nothing)
     client.call("robot", "reset", RUN, ResetReply)
     eventually(lambda: robot.wheels.driven)
 

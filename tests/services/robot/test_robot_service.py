@@ -176,7 +176,7 @@ def test_only_requester_or_operator_cancels_an_opening_world(
     node = Node("robot", settings)
     RobotService(runner, node)
     run_node(node)
-    client.call("robot", "arm", ArmRequest(stop=gate.emergency_stop), Nothing)
+    client.call("robot", "arm", ArmRequest(stop=gate.latched_stop), Nothing)
 
     def cancel(session: str) -> str:
         try:

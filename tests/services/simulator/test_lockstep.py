@@ -111,7 +111,7 @@ def test_stopped_robot_stands_and_renders_nothing() -> None:
     (applied,) = runner.poll()
     assert isinstance(applied, CommandApplied)
     assert (applied.reason, applied.answered_tick, applied.latency_ns) == (
-        "emergency_stop",
+        "latched_stop",
         None,
         None,
     )
@@ -119,7 +119,7 @@ def test_stopped_robot_stands_and_renders_nothing() -> None:
         assert answer(runner) == []
     assert not list(runner.poll())
     assert body.moves == []
-    runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
+    runner.arm(ArmRequest(stop=runner.gate.latched_stop))
     assert {
         atom
         for _ in range(3)
@@ -137,7 +137,7 @@ def test_stop_during_a_step_ends_that_step() -> None:
         assert isinstance(message, CommandApplied)
         runner.gate.stop()
     assert body.moves == []
-    assert [m.reason for m in runner.poll() if isinstance(m, CommandApplied)] == ["emergency_stop"]
+    assert [m.reason for m in runner.poll() if isinstance(m, CommandApplied)] == ["latched_stop"]
 
 
 class Broken(LineBody):
