@@ -240,6 +240,25 @@ class Localizer:
         return Movement(float(ahead), float(turn))
 
 
+def surroundings(
+    before: Surroundings | None,
+    odometry: Sequence[float],
+    depth: tuple[Float32s | None, Mount] | None,
+) -> Surroundings | None:
+    """Return the surroundings at an odometry pose, with a depth image and the mount of its camera.
+
+    They begin with the first mount. None if there was none.
+    """
+    if depth is None:
+        if before is not None:
+            before.move(odometry)
+        return before
+    _, mount = depth
+    around = before or Surroundings(mount.radius_m)
+    around.look(odometry, *depth)
+    return around
+
+
 class Robot:
     """Drives to the goal: takes images and returns motions.
 
@@ -311,12 +330,8 @@ class Robot:
         self.belief = located.whole
         if odometry is None:
             self._around = None
-        elif depth is not None:
-            _, mount = depth
-            self._around = self._around or Surroundings(mount.radius_m)
-            self._around.look(odometry, *depth)
-        elif self._around is not None:
-            self._around.move(odometry)
+        else:
+            self._around = surroundings(self._around, odometry, depth)
         self.decision = self._planner.decide(
             located.belief,
             elapsed_s,

@@ -110,7 +110,7 @@ def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> L
             tick = ticks[int(mapped.keyframes[key] - first[drive])]
             images[key] = recorded.images.get(tick)
             if (pose := recorded.poses.get(tick)) is not None:
-                poses[key] = (pose.x_m, pose.y_m, pose.heading_rad)
+                poses[key] = pose.pose
     costs, _ = cost_to_go(mapped, goal)
     along_m = mapped.arc[mapped.keyframes] - mapped.arc[first][drives]
     world = worlds.pop() if len(worlds) == 1 else ""

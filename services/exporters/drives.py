@@ -53,22 +53,16 @@ class NominalSpeeds(NamedTuple):
 class Moment(NamedTuple):
     """One tick of a drive; None stands for missing, damaged or unknown values.
 
-    The image is as recorded. The velocity (linear, angular) holds from this tick on. The pose is by
-    odometry. The inertial readings are those since the tick before.
+    The image is as recorded. The velocity (linear, angular) holds from this tick on. The inertial
+    readings are those since the tick before.
     """
 
     tick: int
     stamp_ns: int
     jpeg: bytes | None
     velocity: tuple[float, float] | None
-    pose: Odometry | None
+    odometry: Odometry | None
     imu: Imu | None
-
-    @property
-    def wheels(self) -> tuple[float, float, float] | None:
-        """Pose by odometry: x and y in metres, heading in radians."""
-        pose = self.pose
-        return None if pose is None else (pose.x_m, pose.y_m, pose.heading_rad)
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,5 +250,5 @@ def _step(episode: RecordedEpisode, tick: int, applied: CommandApplied) -> float
     share = abs(applied.linear if ahead else applied.angular)
     if share == 0.0 or not {tick, tick + 1} <= episode.odometry.keys():
         return None
-    moved = Movement.between(episode.wheels(tick), episode.wheels(tick + 1))
+    moved = Movement.between(episode.odometry[tick].pose, episode.odometry[tick + 1].pose)
     return abs(moved.ahead if ahead else moved.turn_rad) / share

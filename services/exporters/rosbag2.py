@@ -72,8 +72,8 @@ def _said(drive: ExportedDrive, tally: Tally, advance: Callable[[], None]) -> It
             yield "/tf_static", _TF, stamp_ns, _transforms(stamp_ns, (_BASE, _CAMERA), {}, _OPTICAL)
         if moment.imu is not None:
             yield from _felt(moment.imu, began_ns)
-        if moment.pose is not None:
-            yield from _moved(moment.pose, stamp_ns)
+        if moment.odometry is not None:
+            yield from _moved(moment.odometry, stamp_ns)
         if moment.jpeg is not None:
             yield from _seen(moment.jpeg, drive.episode.camera, stamp_ns)
         if moment.velocity is not None:
