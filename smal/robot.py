@@ -150,7 +150,7 @@ class Localizer:
         """
         if self._witness is None:
             return None
-        if float(belief.weights @ self._near[belief.keyframes]) >= 0.5:
+        if belief.share(self._near) >= 0.5:
             self._since_near = 0.0
         if self._since_near > self._map.correlation_length:
             self._witness.reset()
@@ -348,7 +348,7 @@ class Robot:
         best = self.belief.summary(1)
         keyframe = best.keyframes[0]
         frame = int(self._map.keyframes[keyframe])
-        share = float(self.belief.weights[self.belief.keyframes == keyframe].sum())
+        share = self.belief.share(np.arange(len(self._map.keyframes)) == keyframe)
         ahead, left, turned = best.offsets[0].tolist()
         return TaughtPlace(int(self._map.drives[frame]), frame, ahead, left, turned, share)
 

@@ -225,10 +225,11 @@ def test_map_config_refuses_fewer_views_than_a_length() -> None:
     [
         (lambda mapped: mapped.pop("config"), "missing 'config'"),
         (lambda mapped: mapped.update(config=[1]), "config of the map must be a mapping"),
+        (lambda mapped: mapped["config"].pop("hidden"), "config of the map lacks hidden"),
     ],
-    ids=["missing", "list"],
+    ids=["missing", "list", "incomplete"],
 )
-def test_model_file_without_a_config_is_refused(
+def test_model_file_without_a_whole_config_is_refused(
     damage: Callable[[dict[str, Any]], object], expected: str, tmp_path: Path
 ) -> None:
     meta, arrays = visual_corridor.model()._header()
