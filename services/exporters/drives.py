@@ -65,45 +65,45 @@ class Moment(NamedTuple):
     imu: Imu | None
 
 
-@dataclass(frozen=True, eq=False)
-class ExportedDrive:
-    """One episode to export, with a unique name for files."""
+@dataclass(eq=False, kw_only=True)
+class ExportedDrive(RecordedEpisode):
+    """A recorded episode to export, with a unique name for files."""
 
     name: str
-    episode: RecordedEpisode
     nominal: NominalSpeeds
 
     @property
     def success(self) -> bool:
         """Whether its last frame is the goal."""
-        return self.episode.outcome == "found"
+        return self.outcome == "found"
 
     @property
     def ticks(self) -> list[int]:
         """All ticks with an image, a pose or a command."""
-        return sorted(
-            self.episode.images.keys() | self.episode.odometry.keys() | self.episode.applied.keys()
-        )
+        return sorted(self.images.keys() | self.odometry.keys() | self.applied.keys())
 
     def moments(self, tally: Tally, advance: Callable[[], None]) -> Iterator[Moment]:
         """Yield each tick, count unusable data, and call ``advance`` for each."""
-        poses = self.episode.odometry
-        imus = self.episode.imu
-        applied = self.episode.applied
         last_ns = -1
         for tick in self.ticks:
             advance()
             stamp_ns, jpeg = self._image(tick, tally)
             # Messages about a frame have its stamp.
             stamp_ns = next(
-                (one[tick].stamp_ns for one in (poses, applied) if tick in one), stamp_ns
+                (one[tick].stamp_ns for one in (self.odometry, self.applied) if tick in one),
+                stamp_ns,
             )
             if stamp_ns <= last_ns:
                 tally.count("ticks are not later than the tick before (left out)")
                 continue
             last_ns = stamp_ns
             yield Moment(
-                tick, stamp_ns, jpeg, self._velocity(tick), poses.get(tick), imus.get(tick)
+                tick,
+                stamp_ns,
+                jpeg,
+                self._velocity(tick),
+                self.odometry.get(tick),
+                self.imu.get(tick),
             )
 
     def usable(
@@ -117,11 +117,11 @@ class ExportedDrive:
                 tally.count("frames lack an action (left out)")
 
     def _image(self, tick: int, tally: Tally) -> tuple[int, bytes | None]:
-        if tick not in self.episode.images:
+        if tick not in self.images:
             tally.count("ticks have no image")
             return -1, None
         with suppress(ValueError):
-            stamp_ns, jpeg = stamped_jpeg(bytes(self.episode.images[tick]))
+            stamp_ns, jpeg = stamped_jpeg(bytes(self.images[tick]))
             if is_jpeg(jpeg):
                 return stamp_ns, jpeg
         tally.count("images are damaged")
@@ -129,9 +129,9 @@ class ExportedDrive:
 
     def _velocity(self, tick: int) -> tuple[float, float] | None:
         # At its end the robot stands.
-        if self.episode.end_tick is not None and tick >= self.episode.end_tick:
+        if self.end_tick is not None and tick >= self.end_tick:
             return 0.0, 0.0
-        applied = self.episode.applied.get(tick)
+        applied = self.applied.get(tick)
         if applied is None:
             return None
         speed_m_s = self.nominal.speed.value * applied.linear
@@ -160,9 +160,9 @@ def read(
         )
     return [
         ExportedDrive(
-            name if names.count(name) == 1 else f"{episode.robot}-{name}",
-            episode,
-            nominal[episode.robot],
+            **vars(episode),
+            name=name if names.count(name) == 1 else f"{episode.robot}-{name}",
+            nominal=nominal[episode.robot],
         )
         for name, episode in zip(names, episodes, strict=True)
     ]
@@ -186,7 +186,7 @@ def write(
 
 def say_view(drives: Iterable[ExportedDrive], tally: Tally) -> None:
     """Report the fields of view, which the format cannot store."""
-    for camera in (drive.episode.camera for drive in drives):
+    for camera in (drive.camera for drive in drives):
         if camera is not None:
             angle = camera_of(camera).field_deg
             tally.say(

@@ -114,7 +114,7 @@ def write(
     say_view(drives, tally)
     if not episodes:
         raise JobError("nothing to export: no frame has both an image and an action")
-    _describe(folder, episodes, size, drives[0].episode.robot, tally)
+    _describe(folder, episodes, size, drives[0].robot, tally)
 
 
 def _place(episode: int) -> dict[str, int]:
@@ -133,10 +133,10 @@ def _usable(
             is_gap = last is not None and last[0] == drive
             tally.count("gaps split an episode", int(is_gap))
         last = drive, moment.tick
-        arrived = drive.success and moment.tick == drive.episode.end_tick
+        arrived = drive.success and moment.tick == drive.end_tick
         yield (
             episode,
-            drive.episode.goal,
+            drive.goal,
             _Frame(velocity, moment.odometry, arrived),
             pixels,
         )
