@@ -124,6 +124,10 @@ class Message(Strict):
         """Name of the topic that this message belongs to."""
         return self.topic
 
+    def since(self, stamp_ns: int | None) -> float | None:
+        """Return the seconds since another frame, at least 0; None if its stamp is None."""
+        return None if stamp_ns is None else max(self.stamp_ns - stamp_ns, 0) / 1e9
+
     @classmethod
     def after(cls, cause: "Message", **fields: object) -> Self:
         """Create a message that descends from ``cause``: same robot, episode, tick and stamp."""

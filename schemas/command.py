@@ -19,7 +19,7 @@ Reason = Literal[
     "silence",
     "taken_over",
     "deaf",
-    "emergency_stop",
+    "latched_stop",
 ]
 
 
@@ -103,9 +103,9 @@ class CommandApplied(_Moving):
     too late. insisted: a person insists, and the robot continues slowly. radius: the command
     turns more sharply than the robot can. silence: no fresh command of the driver. taken_over:
     no fresh command of the person who took over. deaf: no echo by a link that carries stops or
-    commands. emergency_stop: a latched stop.
+    commands. latched_stop: a stop of any cause, until it is released.
     """
-    emergency_stop: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    latched_stop: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Number of the latched stop, which its release must name; 0 without a stop."""
     stop_cause: StopCause | None = None
     """Cause of the latched stop."""

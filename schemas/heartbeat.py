@@ -39,7 +39,7 @@ class Pulse(Message):
     """The robot's process."""
     number: Annotated[int, Field(ge=1, lt=2**63)]
     """Number of the pulse, which answers repeat; it counts up from a random start."""
-    emergency_stop: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    latched_stop: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Number of the latched stop, which its release must name; 0 without a stop."""
     stop_cause: StopCause | None = None
     """Cause of the latched stop."""

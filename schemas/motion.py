@@ -8,7 +8,18 @@ from pydantic import Field, model_validator
 from schemas.base import Message, Strict
 
 
-class TruePose(Message):
+class _Planar(Message):
+    x_m: float
+    y_m: float
+    heading_rad: float
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """X and y in metres, heading in radians."""
+        return self.x_m, self.y_m, self.heading_rad
+
+
+class TruePose(_Planar):
     """Ground truth: planar pose of the robot in the world (unused by the method)."""
 
     topic: ClassVar[str] = "pose/truth"
@@ -47,7 +58,7 @@ class TrackedPose(Message):
         return self
 
 
-class Odometry(Message):
+class Odometry(_Planar):
     """Planar pose by wheel odometry since the start of the episode; drifts as wheels slip."""
 
     topic: ClassVar[str] = "odometry"

@@ -23,7 +23,7 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from smal.arrays import AnyArray, Float32s, Floats, Indices
+from smal.arrays import AnyArray, Bools, Float32s, Floats, Indices
 from smal.camera import STEP_DEG, TURNS_DEG
 from smal.features import Centering
 from smal.frozen import Frozen
@@ -65,6 +65,10 @@ class Belief:
     def is_lost(self) -> bool:
         """Whether the robot is more likely lost than not."""
         return self.lost > 0.5
+
+    def share(self, keyframes: Bools) -> float:
+        """Return the weight beside some keyframes, a mask (k,), given that the robot is not lost."""
+        return float(self.weights @ keyframes[self.keyframes])
 
     def summary(self, most: int = PLACES) -> "Belief":
         """Return the belief with one mean particle for each keyframe.

@@ -131,6 +131,8 @@ class VisualMap:
             raise TypeError(
                 f"the config of the map must be a mapping, got {numbers['config']!r:.40}"
             )
+        if lacks := {part.name for part in fields(MapConfig)} - numbers["config"].keys():
+            raise ValueError(f"the config of the map lacks {', '.join(sorted(lacks))}")
         converted = {
             "goals": tuple(goals),
             "names": tuple(map(tuple, names)),

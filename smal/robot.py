@@ -170,7 +170,7 @@ class Localizer:
         """
         if self._witness is None:
             return None
-        if float(belief.weights @ self._near[belief.keyframes]) >= 0.5:
+        if belief.share(self._near) >= 0.5:
             self._since_near = 0.0
         if self._since_near > self._map.correlation_length:
             self._witness.reset()
@@ -261,6 +261,26 @@ class Localizer:
         return Movement(float(ahead), float(turn))
 
 
+def surroundings(
+    before: Surroundings | None,
+    odometry: Sequence[float],
+    depth: tuple[Float32s | None, Mount] | None,
+    elapsed_s: float,
+) -> Surroundings | None:
+    """Return the surroundings at an odometry pose, with a depth image and the mount of its camera.
+
+    `elapsed_s` is the time since the call before, seconds. They begin with the first mount. None if there was none.
+    """
+    if depth is None:
+        if before is not None:
+            before.move(odometry)
+        return before
+    _, mount = depth
+    around = before or Surroundings(mount.radius_m)
+    around.look(odometry, *depth, elapsed_s)
+    return around
+
+
 class Robot:
     """Drives to the goal: takes images and returns motions.
 
@@ -332,13 +352,9 @@ class Robot:
         self.belief = located.whole
         if odometry is None:
             self._around = None
-        elif depth is not None:
-            _, mount = depth
-            self._around = self._around or Surroundings(mount.radius_m)
+        else:
             tick_s = self._map.tick_s if elapsed_s is None else elapsed_s
-            self._around.look(odometry, *depth, tick_s)
-        elif self._around is not None:
-            self._around.move(odometry)
+            self._around = surroundings(self._around, odometry, depth, tick_s)
         self.decision = self._planner.decide(
             located.belief,
             elapsed_s,
@@ -355,7 +371,7 @@ class Robot:
         best = self.belief.summary(1)
         keyframe = best.keyframes[0]
         frame = int(self._map.keyframes[keyframe])
-        share = float(self.belief.weights[self.belief.keyframes == keyframe].sum())
+        share = self.belief.share(np.arange(len(self._map.keyframes)) == keyframe)
         ahead, left, turned = best.offsets[0].tolist()
         return TaughtPlace(int(self._map.drives[frame]), frame, ahead, left, turned, share)
 

@@ -69,10 +69,10 @@ def export_recordings(
 
 
 def _lines(form: Format, drives: list[ExportedDrive], out: Path) -> Iterator[str]:
-    frames = sum(drive.episode.frames for drive in drives)
+    frames = sum(drive.frames for drive in drives)
     yield f"drives        {len(drives)} ({sum(drive.success for drive in drives)} reached their goal)"
     yield f"frames        {frames} ({frames / 10:.0f} s)"
-    for robot, nominal in {drive.episode.robot: drive.nominal for drive in drives}.items():
+    for robot, nominal in {drive.robot: drive.nominal for drive in drives}.items():
         speed = nominal.speed
         turn_rate = nominal.turn_rate
         yield f"velocities    of {robot}: forward {speed.value:.3g} m/s ({speed.origin})"

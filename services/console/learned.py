@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from schemas.state import State
 from schemas.topics import JPEG, POSE
+from services.kit.belief import belief_of
 from services.kit.model_service import identity_of
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.reader import read_recording
@@ -55,12 +56,13 @@ class Learned:
 
     def belief(self, state: State) -> dict[str, object]:
         """Return the most likely pose of a state."""
-        keyframes = state.keyframes
+        belief = belief_of(state)
+        keyframes = belief.keyframes
         known = len(keyframes) > 0 and keyframes.max() < len(self.poses)
         if state.model != self.identity or not known:
             return {}
         best = int(keyframes[0])
-        x, y, heading = placed(state.places.to_numpy()[0, 1:4].astype(np.float64), self.poses[best])
+        x, y, heading = placed(belief.offsets[0], self.poses[best])
         beside = np.abs(self.along_m - self.along_m[best]) <= _NEAR_M
         near = beside & (self.drives == self.drives[best])
         cost_s = float(self.cost_s[best])
@@ -68,7 +70,7 @@ class Learned:
             "keyframe": best,
             "pose": [round(float(x), 2), round(float(y), 2), round(float(heading), 3)],
             "cost": round(cost_s, 1) if math.isfinite(cost_s) else None,
-            "sure": round((1.0 - state.lost) * float(state.weights[near[keyframes]].sum()), 3),
+            "sure": round((1.0 - belief.lost) * belief.share(near), 3),
         }
 
 
@@ -110,7 +112,7 @@ def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> L
             tick = ticks[int(mapped.keyframes[key] - first[drive])]
             images[key] = recorded.images.get(tick)
             if (pose := recorded.poses.get(tick)) is not None:
-                poses[key] = (pose.x_m, pose.y_m, pose.heading_rad)
+                poses[key] = pose.pose
     costs, _ = cost_to_go(mapped, goal)
     along_m = mapped.arc[mapped.keyframes] - mapped.arc[first][drives]
     world = worlds.pop() if len(worlds) == 1 else ""

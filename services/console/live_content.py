@@ -193,7 +193,7 @@ class LiveContent:
             # Every tenth point: the page draws the rest from the robot's pose.
             if len(self._way) % 10 == 1:
                 self._board.put("way", {"episode": pose.episode, "points": self._way})
-        self._put("pose", episode=pose.episode, pose=_rounded(pose.x_m, pose.y_m, pose.heading_rad))
+        self._put("pose", episode=pose.episode, pose=_rounded(*pose.pose))
 
     def _on_tracked(self, pose: TrackedPose) -> None:
         if pose.x_m is not None and pose.y_m is not None and pose.heading_rad is not None:

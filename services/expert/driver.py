@@ -121,6 +121,6 @@ class ExpertService:
             self.arrived = self._driver.arrived(pose.x_m, pose.y_m)
             if self.arrived:
                 return None
-            velocity = self._driver.velocity(pose.x_m, pose.y_m, pose.heading_rad)
+            velocity = self._driver.velocity(*pose.pose)
             self._last = Command.after(pose, source="expert", **velocity._asdict())
         return self._last

@@ -24,5 +24,5 @@ def write(
                 (folder / image).write_bytes(jpeg)
                 seconds, rest_ns = divmod(moment.stamp_ns, 1_000_000_000)
                 time_s = f"{seconds}.{rest_ns:09d}"
-                way = moment.wheels or ("", "", "")
+                way = moment.odometry.pose if moment.odometry else ("", "", "")
                 table.writerow([drive.name, image, time_s, *velocity, int(drive.success), *way])

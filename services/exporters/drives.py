@@ -53,63 +53,57 @@ class NominalSpeeds(NamedTuple):
 class Moment(NamedTuple):
     """One tick of a drive; None stands for missing, damaged or unknown values.
 
-    The image is as recorded. The velocity (linear, angular) holds from this tick on. The pose is by
-    odometry. The inertial readings are those since the tick before.
+    The image is as recorded. The velocity (linear, angular) holds from this tick on. The inertial
+    readings are those since the tick before.
     """
 
     tick: int
     stamp_ns: int
     jpeg: bytes | None
     velocity: tuple[float, float] | None
-    pose: Odometry | None
+    odometry: Odometry | None
     imu: Imu | None
 
-    @property
-    def wheels(self) -> tuple[float, float, float] | None:
-        """Pose by odometry: x and y in metres, heading in radians."""
-        pose = self.pose
-        return None if pose is None else (pose.x_m, pose.y_m, pose.heading_rad)
 
-
-@dataclass(frozen=True, eq=False)
-class ExportedDrive:
-    """One episode to export, with a unique name for files."""
+@dataclass(eq=False, kw_only=True)
+class ExportedDrive(RecordedEpisode):
+    """A recorded episode to export, with a unique name for files."""
 
     name: str
-    episode: RecordedEpisode
     nominal: NominalSpeeds
 
     @property
     def success(self) -> bool:
         """Whether its last frame is the goal."""
-        return self.episode.outcome == "found"
+        return self.outcome == "found"
 
     @property
     def ticks(self) -> list[int]:
         """All ticks with an image, a pose or a command."""
-        return sorted(
-            self.episode.images.keys() | self.episode.odometry.keys() | self.episode.applied.keys()
-        )
+        return sorted(self.images.keys() | self.odometry.keys() | self.applied.keys())
 
     def moments(self, tally: Tally, advance: Callable[[], None]) -> Iterator[Moment]:
         """Yield each tick, count unusable data, and call ``advance`` for each."""
-        poses = self.episode.odometry
-        imus = self.episode.imu
-        applied = self.episode.applied
         last_ns = -1
         for tick in self.ticks:
             advance()
             stamp_ns, jpeg = self._image(tick, tally)
             # Messages about a frame have its stamp.
             stamp_ns = next(
-                (one[tick].stamp_ns for one in (poses, applied) if tick in one), stamp_ns
+                (one[tick].stamp_ns for one in (self.odometry, self.applied) if tick in one),
+                stamp_ns,
             )
             if stamp_ns <= last_ns:
                 tally.count("ticks are not later than the tick before (left out)")
                 continue
             last_ns = stamp_ns
             yield Moment(
-                tick, stamp_ns, jpeg, self._velocity(tick), poses.get(tick), imus.get(tick)
+                tick,
+                stamp_ns,
+                jpeg,
+                self._velocity(tick),
+                self.odometry.get(tick),
+                self.imu.get(tick),
             )
 
     def usable(
@@ -123,11 +117,11 @@ class ExportedDrive:
                 tally.count("frames lack an action (left out)")
 
     def _image(self, tick: int, tally: Tally) -> tuple[int, bytes | None]:
-        if tick not in self.episode.images:
+        if tick not in self.images:
             tally.count("ticks have no image")
             return -1, None
         with suppress(ValueError):
-            stamp_ns, jpeg = stamped_jpeg(bytes(self.episode.images[tick]))
+            stamp_ns, jpeg = stamped_jpeg(bytes(self.images[tick]))
             if is_jpeg(jpeg):
                 return stamp_ns, jpeg
         tally.count("images are damaged")
@@ -135,9 +129,9 @@ class ExportedDrive:
 
     def _velocity(self, tick: int) -> tuple[float, float] | None:
         # At its end the robot stands.
-        if self.episode.end_tick is not None and tick >= self.episode.end_tick:
+        if self.end_tick is not None and tick >= self.end_tick:
             return 0.0, 0.0
-        applied = self.episode.applied.get(tick)
+        applied = self.applied.get(tick)
         if applied is None:
             return None
         speed_m_s = self.nominal.speed.value * applied.linear
@@ -166,9 +160,9 @@ def read(
         )
     return [
         ExportedDrive(
-            name if names.count(name) == 1 else f"{episode.robot}-{name}",
-            episode,
-            nominal[episode.robot],
+            **vars(episode),
+            name=name if names.count(name) == 1 else f"{episode.robot}-{name}",
+            nominal=nominal[episode.robot],
         )
         for name, episode in zip(names, episodes, strict=True)
     ]
@@ -192,7 +186,7 @@ def write(
 
 def say_view(drives: Iterable[ExportedDrive], tally: Tally) -> None:
     """Report the fields of view, which the format cannot store."""
-    for camera in (drive.episode.camera for drive in drives):
+    for camera in (drive.camera for drive in drives):
         if camera is not None:
             angle = camera_of(camera).field_deg
             tally.say(
@@ -256,5 +250,5 @@ def _step(episode: RecordedEpisode, tick: int, applied: CommandApplied) -> float
     share = abs(applied.linear if ahead else applied.angular)
     if share == 0.0 or not {tick, tick + 1} <= episode.odometry.keys():
         return None
-    moved = Movement.between(episode.wheels(tick), episode.wheels(tick + 1))
+    moved = Movement.between(episode.odometry[tick].pose, episode.odometry[tick + 1].pose)
     return abs(moved.ahead if ahead else moved.turn_rad) / share

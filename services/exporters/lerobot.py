@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.motion import Odometry
 from services.exporters.drives import ExportedDrive, Moment, say_view
 from services.importers.drive import Tally
 from services.importers.lerobot import (
@@ -67,7 +68,7 @@ class _Frame(NamedTuple):
     """A row of the table, without its indices."""
 
     action: tuple[float, float]
-    pose: tuple[float, float, float] | None
+    odometry: Odometry | None
     success: bool
 
 
@@ -113,7 +114,7 @@ def write(
     say_view(drives, tally)
     if not episodes:
         raise JobError("nothing to export: no frame has both an image and an action")
-    _describe(folder, episodes, size, drives[0].episode.robot, tally)
+    _describe(folder, episodes, size, drives[0].robot, tally)
 
 
 def _place(episode: int) -> dict[str, int]:
@@ -132,8 +133,13 @@ def _usable(
             is_gap = last is not None and last[0] == drive
             tally.count("gaps split an episode", int(is_gap))
         last = drive, moment.tick
-        arrived = drive.success and moment.tick == drive.episode.end_tick
-        yield episode, drive.episode.goal, _Frame(velocity, moment.wheels, arrived), pixels
+        arrived = drive.success and moment.tick == drive.end_tick
+        yield (
+            episode,
+            drive.goal,
+            _Frame(velocity, moment.odometry, arrived),
+            pixels,
+        )
 
 
 def _of_one_size(
@@ -229,7 +235,7 @@ def _columns(
     columns: dict[str, NDArray[Any]] = {
         ACTION: np.array([frame.action for frame in frames], np.float32)
     }
-    poses = [frame.pose for frame in frames if frame.pose is not None]
+    poses = [frame.odometry.pose for frame in frames if frame.odometry is not None]
     if len(poses) == len(frames):
         columns[STATE] = np.array(poses, np.float32)
     else:

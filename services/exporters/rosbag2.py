@@ -46,7 +46,7 @@ def write(
             folder / drive.name, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP
         )
         for what in ("robot", "episode", "world", "purpose", "goal", "outcome"):
-            writer.set_custom_data(f"smal.{what}", getattr(drive.episode, what) or "")
+            writer.set_custom_data(f"smal.{what}", getattr(drive, what) or "")
         channels: dict[str, Any] = {}
         with writer:
             for topic, kind, stamp_ns, fields in _said(drive, tally, advance):
@@ -57,9 +57,7 @@ def write(
                     )
                 data = store.serialize_cdr(ros_message(store, kind, fields), kind)
                 writer.write(channels[topic], stamp_ns, data)
-        tally.count(
-            "drives have no odometry; a 3D view shows no movement", int(not drive.episode.odometry)
-        )
+        tally.count("drives have no odometry; a 3D view shows no movement", int(not drive.odometry))
 
 
 def _said(drive: ExportedDrive, tally: Tally, advance: Callable[[], None]) -> Iterator[Said]:
@@ -72,10 +70,10 @@ def _said(drive: ExportedDrive, tally: Tally, advance: Callable[[], None]) -> It
             yield "/tf_static", _TF, stamp_ns, _transforms(stamp_ns, (_BASE, _CAMERA), {}, _OPTICAL)
         if moment.imu is not None:
             yield from _felt(moment.imu, began_ns)
-        if moment.pose is not None:
-            yield from _moved(moment.pose, stamp_ns)
+        if moment.odometry is not None:
+            yield from _moved(moment.odometry, stamp_ns)
         if moment.jpeg is not None:
-            yield from _seen(moment.jpeg, drive.episode.camera, stamp_ns)
+            yield from _seen(moment.jpeg, drive.camera, stamp_ns)
         if moment.velocity is not None:
             command = {"header": _header(stamp_ns, _BASE), "twist": _twist(*moment.velocity)}
             yield "/cmd_vel", names.STAMPED, stamp_ns, command

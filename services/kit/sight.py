@@ -5,6 +5,7 @@ import numpy as np
 from schemas.camera import DepthImage
 from schemas.motion import Odometry
 from smal.obstacles.clearance import Mount, Surroundings
+from smal.robot import surroundings
 
 
 class ObstacleSight:
@@ -14,7 +15,8 @@ class ObstacleSight:
         self._odometry: Odometry | None = None
         self._depth: DepthImage | None = None
         self.mount: Mount | None = None  # Position of the depth camera.
-        self._around: tuple[str, Surroundings] | None = None
+        self._episode = ""
+        self._around: Surroundings | None = None
         self._stamp_ns = 0  # Of the odometry at the last look.
 
     def roll(self, odometry: Odometry) -> None:
@@ -36,12 +38,13 @@ class ObstacleSight:
             or not episode == now.episode == depth.episode
         ):
             return None
-        self.mount = mount = Mount(**depth.mounting.model_dump())
-        if self._around is None or self._around[0] != episode:
-            self._around = episode, Surroundings(mount.radius_m)
+        if episode != self._episode:
+            self._episode = episode
+            self._around = None
         # If the image belongs to another frame, only the odometry is used.
         image = (depth.to_numpy() / 1000.0).astype(np.float32) if depth.tick == now.tick else None
         elapsed_s = (now.stamp_ns - self._stamp_ns) / 1e9
         self._stamp_ns = now.stamp_ns
-        self._around[1].look((now.x_m, now.y_m, now.heading_rad), image, mount, elapsed_s)
-        return self._around[1]
+        self.mount = Mount(**depth.mounting.model_dump())
+        self._around = surroundings(self._around, now.pose, (image, self.mount), elapsed_s)
+        return self._around

@@ -389,14 +389,16 @@ class Router:
     robots
         Ids of the robots.
     insecure
-        Whether to listen without credentials where other machines can connect.
+        Whether to listen without credentials where other machines can connect; with credentials
+        it is an error.
     peers
         Addresses of other routers, whose clients share the bus.
 
     Raises
     ------
     BusError
-        If an address is malformed, its port is taken, or access is insecure.
+        If an address is malformed, its port is taken, access is insecure, or `insecure` is given
+        with credentials.
     """
 
     def __init__(
@@ -410,6 +412,10 @@ class Router:
         host, _ = host_and_port(endpoint)
         for one in (endpoint, *peers):
             check_credentials(one, credentials)
+        if insecure and credentials is not None:
+            raise BusError(
+                "--insecure contradicts certificates (--secure or SMAL_TLS_CERT); give one of them"
+            )
         if credentials is None and not insecure and others_reach(host):
             raise BusError(
                 f"{endpoint} can be reached from other machines, and anyone there could drive the "

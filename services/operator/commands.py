@@ -75,7 +75,7 @@ class Commands:
         if self.applied is None or applied.tick != self.applied.tick:
             self._sequences.clear()
         self.applied = self.heard = applied
-        self.stop = applied.emergency_stop
+        self.stop = applied.latched_stop
         self._car = self._car or applied.reason == "radius"
         if self.held is not None and applied.reason == "obstacle" and applied.linear == 0.0:
             now_s = self._clock()

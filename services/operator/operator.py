@@ -183,7 +183,7 @@ class Operator:
             if pulse.episode == NO_EPISODE:
                 self.commands.no_episode()
                 self._note(at=now, answers=True, episode=None, cause=pulse.stop_cause)
-            self._node.publish(self.commands.told(pulse.emergency_stop))
+            self._node.publish(self.commands.told(pulse.latched_stop))
 
     def _note(self, **news: Any) -> None:  # noqa: ANN401 - of the report's fields
         before = self.report

@@ -145,9 +145,7 @@ class _ByFilter:
         self._stamp_ns: int | None = None
 
     def answer(self, state: State, delay_s: float, sight: ObstacleSight) -> list[Message]:
-        elapsed_s = (
-            None if self._stamp_ns is None else max(state.stamp_ns - self._stamp_ns, 0) / 1e9
-        )
+        elapsed_s = state.since(self._stamp_ns)
         self._stamp_ns = state.stamp_ns
         around = sight.around(state.episode)
         strange = math.inf if state.strange_m is None else state.strange_m

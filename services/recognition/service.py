@@ -90,11 +90,7 @@ class RecognitionService:
 
     def see(self, odometry: Odometry) -> State | None:
         """Store the odometry of a frame, which can arrive before or after its observation."""
-        self._odometry[odometry.episode, odometry.tick] = (
-            odometry.x_m,
-            odometry.y_m,
-            odometry.heading_rad,
-        )
+        self._odometry[odometry.episode, odometry.tick] = odometry.pose
         _forget(self._odometry)
         waiting = self._waiting
         if waiting is None or (waiting.episode, waiting.tick) != (odometry.episode, odometry.tick):
@@ -241,9 +237,7 @@ class _ByFilter:
     ) -> State | None:
         if behind:
             return None
-        elapsed_s = (
-            None if self._stamp_ns is None else max(observation.stamp_ns - self._stamp_ns, 0) / 1e9
-        )
+        elapsed_s = observation.since(self._stamp_ns)
         detected = tuple(Detection(one.label, one.score, one.box) for one in observation.detected)
         percept = Percept(observation.features.to_numpy(), observation.small(), detected)
         located = self._localizer.locate(percept, odometry, atoms, elapsed_s)

@@ -224,7 +224,7 @@ def _demonstration(
     known = ticks.tolist()
     images = recorded_images([episode.images[tick] for tick in known], episode.episode)
     applied = [episode.applied.get(tick) for tick in known]
-    way = [episode.wheels(tick) for tick in known if tick in episode.odometry]
+    way = [episode.odometry[tick].pose for tick in known if tick in episode.odometry]
     at_goal = episode.is_goal(known[-1])
     return Demonstration(
         name=name,

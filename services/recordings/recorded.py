@@ -61,11 +61,6 @@ class RecordedEpisode:
         breaks = np.flatnonzero(np.diff(ticks) > 1) + 1
         return [piece for piece in np.split(ticks, breaks) if piece.size]
 
-    def wheels(self, tick: int) -> tuple[float, float, float]:
-        """Return x, y in metres and heading in radians by odometry; raise KeyError if not recorded."""
-        pose = self.odometry[tick]
-        return pose.x_m, pose.y_m, pose.heading_rad
-
     def is_goal(self, tick: int) -> bool:
         """Return whether this is the last frame of an episode that ended with ``found``."""
         ended_here = self.outcome == "found" and tick == self.end_tick

@@ -107,7 +107,7 @@ class Views:
 
     @of.register
     def _odometry(self, odometry: Odometry) -> Iterator[RecordedView]:
-        here = np.array([odometry.x_m, odometry.y_m, odometry.heading_rad])
+        here = np.array(odometry.pose)
         yield RecordedView("odometry", _transform(odometry, "odom", "base_link", here))
         _keep(self._wheels, odometry.tick, here)
         yield from self._world(odometry)
@@ -120,7 +120,7 @@ class Views:
 
     @of.register
     def _pose(self, pose: TruePose) -> Iterator[RecordedView]:
-        here = np.array([pose.x_m, pose.y_m, pose.heading_rad])
+        here = np.array(pose.pose)
         yield RecordedView("pose", _in_world(pose, here))
         _keep(self._true, pose.tick, here)
         yield from self._world(pose)

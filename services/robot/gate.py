@@ -126,14 +126,14 @@ class CommandGate:
     # -- stops -------------------------------------------------------------------------------------
 
     @property
-    def emergency_stop(self) -> int:
+    def latched_stop(self) -> int:
         """Number of the latched stop; 0 without a stop."""
         return self._stops if self._stops != self._released else 0
 
     @property
     def stop_cause(self) -> StopCause | None:
         """Cause of the latched stop."""
-        return self._cause if self.emergency_stop else None
+        return self._cause if self.latched_stop else None
 
     def stop(self, cause: StopCause = "emergency_stop") -> None:
         """Latch a stop; the graver of several causes is reported until the robot is armed."""
@@ -156,10 +156,10 @@ class CommandGate:
                 return refusal
             if self.attended and self.operator is None:
                 return "no operator answers in time; this robot moves only with a present operator"
-            if not self.emergency_stop or stop != self.emergency_stop:
+            if not self.latched_stop or stop != self.latched_stop:
                 return (
                     "another stop was latched since; arm again"
-                    if self.emergency_stop
+                    if self.latched_stop
                     else "no stop is latched"
                 )
             self._taken_over = self._episode != ""
@@ -372,9 +372,9 @@ class CommandGate:
     def _obeyed(self, now_s: float, *, deaf: bool) -> _Accepted | Applied:
         """Return the obeyed command, or why the robot stands."""
         with self._lock:
-            if self.emergency_stop:
+            if self.latched_stop:
                 cause: Source | None = "emergency_stop" if self._cause == "emergency_stop" else None
-                return Applied(STANDING, cause, "emergency_stop")
+                return Applied(STANDING, cause, "latched_stop")
             if deaf:
                 return Applied(STANDING, None, "deaf")
             latest = self._latest.get("teleop" if self._taken_over else self._driver)

@@ -115,7 +115,7 @@ class EpisodeRunner(Generic[V]):
         """
         if request.mode not in self._paces:
             raise ServiceError(f"{self.body.name}: unsupported mode {request.mode}; use realtime")
-        if self.gate.emergency_stop:
+        if self.gate.latched_stop:
             cause = {
                 "not_armed": "the robot is not armed; arm it",
                 "emergency_stop": "an emergency stop is latched; release it",
@@ -250,7 +250,7 @@ class EpisodeRunner(Generic[V]):
             nowhere if run is None else self.header(run),
             session=self.session,
             number=self.gate.pulse(self._clocks.monotonic_s()),
-            emergency_stop=self.gate.emergency_stop,
+            latched_stop=self.gate.latched_stop,
             stop_cause=self.gate.stop_cause,
         )
 
@@ -355,7 +355,7 @@ class EpisodeRunner(Generic[V]):
             answered_tick=applied.answered_tick,
             latency_ns=None if latency_s is None else round(latency_s * 1e9),
             delay_ns=None if applied.answered_tick is None else round(run.pace.delay_s * 1e9),
-            emergency_stop=self.gate.emergency_stop,
+            latched_stop=self.gate.latched_stop,
             stop_cause=self.gate.stop_cause,
             refused=sum(self.gate.refused.values()),
         )

@@ -125,8 +125,8 @@ class RobotService:
         leaves.
         """
         mine = self._runner.session
-        stands = self._runner.gate.emergency_stop
-        if pulse.session != mine and stands and (not pulse.emergency_stop or pulse.session < mine):
+        stands = self._runner.gate.latched_stop
+        if pulse.session != mine and stands and (not pulse.latched_stop or pulse.session < mine):
             self.left = True
             self._node.stop()
 
@@ -186,7 +186,7 @@ class RobotService:
             "turn_rate_rad_s": moves.turn_rate_rad_s,
             "episode": running.id if running else None,
             "tick": running.tick if running else None,
-            "emergency_stop": gate.emergency_stop,
+            "latched_stop": gate.latched_stop,
             "stop_cause": gate.stop_cause,
             "taken_over": gate.taken_over,
             "attended": gate.attended,

@@ -90,8 +90,8 @@ class Lockstep:
         # This order matters: an answer between the two calls is handled at the next poll.
         answered = runner.gate.answered(run.tick)
         applied = runner.gate.applied(self.gate_s(run.tick))
-        if runner.gate.emergency_stop:
-            if run.applied is None or run.applied.reason != "emergency_stop":
+        if runner.gate.latched_stop:
+            if run.applied is None or run.applied.reason != "latched_stop":
                 yield runner.tell(run, applied)
         elif answered:
             yield runner.tell(run, applied)
@@ -105,7 +105,7 @@ class Lockstep:
         now = self._clock()
         if now - run.ready_s[run.tick] > GIVE_UP_S:
             yield from runner.end()
-        elif now - self._sent_s > RESEND_S and not runner.gate.emergency_stop:
+        elif now - self._sent_s > RESEND_S and not runner.gate.latched_stop:
             # Subscribers of the other images can appear after the frame was made.
             *others, image = run.frame
             made = {message.topic_name for message in others}

@@ -225,7 +225,7 @@ def _robot(robot: Report, now_s: float) -> list[str]:
         "silence": "no driver",
         "taken_over": "you have taken over; r resumes",
         "deaf": "no echo from the router; it stands until the link works",
-        "emergency_stop": _CAUSES[robot.cause],
+        "latched_stop": _CAUSES[robot.cause],
     }
     doing = f"{robot.atom or '-'} ({reasons.get(robot.reason or '', '-')})"
     return [f"frame {robot.tick}", f"robot: {doing}", f"refused {robot.refused}"]

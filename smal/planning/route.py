@@ -86,7 +86,7 @@ class Route:
 
     def has_way(self, belief: Belief) -> bool:
         """Return whether a way leads to the goal from the robot's probable place."""
-        return float(belief.weights @ self.leads_on(belief)) >= 0.5
+        return belief.share(np.isfinite(self.to_go_s)) >= 0.5
 
     def aims(self, belief: Belief, lookahead: float) -> Aims:
         """Return the aim of each particle: on the followed drive, ``lookahead`` further along."""

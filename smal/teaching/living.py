@@ -16,13 +16,12 @@ from typing import Final, cast
 import numpy as np
 from scipy.special import stdtrit
 
-from smal.arrays import Float32s, Floats, Indices, Int8s
+from smal.arrays import Bools, Float32s, Floats, Indices, Int8s
 from smal.camera import STRAIGHT, Camera, Image, Scene, remapped
 from smal.features import extract
 from smal.features.extraction import in_parallel, looked_at
 from smal.features.resizing import fitted
 from smal.files.packed import packed, unpacked
-from smal.filter import Belief
 from smal.likelihood import evenly, over, scale
 from smal.map import VisualMap
 from smal.model import Model
@@ -100,7 +99,7 @@ def follow(model: Model, run: Demonstration) -> Followed:
         key = int(summary.keyframes[0])
         components = taught.described(model.centering.apply(raw))
         z = over(np.array(belief.cosine), *scale(taught.sample @ components))
-        sure = (1.0 - belief.lost) * _share_near(taught, summary, key)
+        sure = (1.0 - belief.lost) * summary.share(_near(taught, key))
         log_ratio = float(taught.likelihood.of(z))
         rows.append((key, *summary.offsets[0], sure, log_ratio, belief.evidence))
     key, ahead, left, turned, sure, says, evidence = np.array(rows).T
@@ -108,13 +107,12 @@ def follow(model: Model, run: Demonstration) -> Followed:
     return Followed(key.astype(np.intp), offsets, sure, says, evidence, arrived)
 
 
-def _share_near(taught: VisualMap, belief: Belief, key: int) -> float:
-    """Return the weight of the places within a correlation length of a keyframe on its drive."""
-    places = belief.keyframes
-    apart = taught.key_poses[places, :2] - taught.key_poses[key, :2]
-    same_drive = taught.key_drives[places] == taught.key_drives[key]
-    near = same_drive & (np.hypot(*apart.T) < taught.correlation_length)
-    return float(belief.weights @ near)
+def _near(taught: VisualMap, key: int) -> Bools:
+    """Return which keyframes (k,) are within a correlation length of a keyframe on its drive."""
+    apart = taught.key_poses[:, :2] - taught.key_poses[key, :2]
+    same_drive = taught.key_drives == taught.key_drives[key]
+    near: Bools = same_drive & (np.hypot(*apart.T) < taught.correlation_length)
+    return near
 
 
 def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:

@@ -99,7 +99,7 @@ EXAMPLES: dict[type[Message], Message] = {
         tracked_m=12.5,
     ),
     Action: Action(**HEADER, kind="follow", state=7, atoms=("forward",)),
-    Pulse: Pulse(**HEADER, session="fedcba987654", number=41, emergency_stop=3, stop_cause="fault"),
+    Pulse: Pulse(**HEADER, session="fedcba987654", number=41, latched_stop=3, stop_cause="fault"),
     Heartbeat: Heartbeat(
         **HEADER, session="0123456789abcdef", name="teleop", sequence=7, answers=41
     ),

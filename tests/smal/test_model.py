@@ -213,9 +213,10 @@ def test_map_config_refuses_fewer_views_than_a_length() -> None:
     [
         (lambda mapped: mapped.pop("config"), "missing 'config'"),
         (lambda mapped: mapped.update(config=[1]), "config of the map must be a mapping"),
+        (lambda mapped: mapped["config"].pop("hidden"), "config of the map lacks hidden"),
         (lambda mapped: mapped["config"].update(unknown_number=1), "unknown_number"),
     ],
-    ids=["missing", "list", "unknown"],
+    ids=["missing", "list", "incomplete", "unknown"],
 )
 def test_model_file_is_refused_when_its_config_is_invalid(
     damage: Callable[[dict[str, Any]], object], expected: str, tmp_path: Path

@@ -214,7 +214,7 @@ class EpisodeClient:
             return
         robot = self.node.bus.call("robot", "status", Nothing(), Status).detail
         if robot.get("stop_cause") == "not_armed" and not robot.get("attended"):
-            request = ArmRequest(stop=int(robot["emergency_stop"] or 0), session=self.node.session)
+            request = ArmRequest(stop=int(robot["latched_stop"] or 0), session=self.node.session)
             self.node.bus.call("robot", "arm", request, Nothing)
         self._armed = True
 

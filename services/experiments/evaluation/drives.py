@@ -1,7 +1,7 @@
 """Drives of the scripted expert in this process, equal to those of `smal demonstrate`."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -27,17 +27,6 @@ from smal.movement import Atom
 from smal.teaching.demonstration import Demonstration
 
 Via = Sequence[tuple[float, float]]
-
-
-@dataclass(frozen=True, eq=False)
-class RecordedDrive:
-    """A teaching drive with JPEG images.
-
-    The true poses (f, 3), metres and radians, are for evaluation only.
-    """
-
-    demonstration: Demonstration
-    poses: NDArray[np.float64]
 
 
 def views_of_expert(
@@ -116,13 +105,13 @@ def drive(
     }
 
 
-def drive_of(held: dict[str, NDArray[Any]]) -> RecordedDrive:
-    """Convert arrays of `drive` to a drive."""
+def drive_of(held: dict[str, NDArray[Any]]) -> Demonstration:
+    """Convert arrays of `drive` to a demonstration; its true poses are ``held["poses"]``."""
     recovery = bool(held["recovery"])
     name = f"{'recovery' if recovery else 'drive'}-{held['seed']}"
     jpegs = [jpeg.tobytes() for jpeg in np.split(held["jpegs"], held["jpeg_ends"][:-1])]
     images = recorded_images(jpegs, name, decode_jpeg)
-    made = Demonstration(
+    return Demonstration(
         name,
         held["features"],
         held["atoms"],
@@ -132,7 +121,6 @@ def drive_of(held: dict[str, NDArray[Any]]) -> RecordedDrive:
         odometry=held["odometry"],
         camera=Camera.of_field(FIELD_OF_VIEW_DEG),
     )
-    return RecordedDrive(made, held["poses"])
 
 
 def save_arrays(path: Path, **arrays: NDArray[Any]) -> None:

@@ -80,18 +80,18 @@ def run_errand(
     made = []
     for number, one in enumerate(task.taught):
         there = open_simulation(world, camera, task=(one.start, one.victim))
-        made.append(drive_of(drive(there, features, TEACHING_SEED + number, one.via)))
+        made.append(drive(there, features, TEACHING_SEED + number, one.via))
     model = learn([
-        replace(each.demonstration, name=f"{errand} {number}", goal=one.goal)
+        replace(drive_of(each), name=f"{errand} {number}", goal=one.goal)
         for number, (each, one) in enumerate(zip(made, task.taught, strict=True))
     ])  # fmt: skip
     simulation = open_simulation(world, camera, task=(task.start, task.victim))
     robot = Robot(model, task.goal)
-    patience = 3 * max(len(one.poses) for one in made)
+    patience = 3 * max(len(one["poses"]) for one in made)
     requests = [ResetRequest(seed=seed, purpose="run", max_ticks=patience) for seed in seeds]
     found = [search(simulation, robot, request, until_said=True) for request in requests]
     return {
         "outcomes": [one.outcome for one in found],
         "driven_m": [round(one.driven_m, 2) for one in found],
-        "taught_m": [round(route_length_m(one.poses[:, :2]), 2) for one in made],
+        "taught_m": [round(route_length_m(one["poses"][:, :2]), 2) for one in made],
     }

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from schemas.episode import Purpose
 from schemas.rpc import ResetRequest
@@ -17,7 +18,6 @@ from services.experiments.engine import digest_of
 from services.experiments.evaluation import recognition
 from services.experiments.evaluation.degradation import DEGRADATIONS, Degrader
 from services.experiments.evaluation.drives import (
-    RecordedDrive,
     drive,
     drive_of,
     load_arrays,
@@ -49,6 +49,7 @@ from smal.paper.learning import LearningSettings, learn
 from smal.paper.model import PaperModel
 from smal.paper.robot import PaperRobot
 from smal.robot import Robot
+from smal.teaching.demonstration import Demonstration
 from smal.teaching.mapping import learn as learn_map
 
 # Numbers, texts and lists; ``cpu_s`` is the processor time.
@@ -147,8 +148,12 @@ def simulation_in(
 
 
 @lru_cache(maxsize=1)
-def _drives(units: tuple["Teach", ...], folder: Path) -> tuple[RecordedDrive, ...]:
-    return tuple(drive_of(load_arrays(unit.file(folder))) for unit in units)
+def _drives(
+    units: tuple["Teach", ...], folder: Path
+) -> tuple[list[Demonstration], list[NDArray[np.float64]]]:
+    """Return the drives, and their true poses (f, 3), metres and radians, for evaluation only."""
+    held = [load_arrays(unit.file(folder)) for unit in units]
+    return [drive_of(one) for one in held], [one["poses"] for one in held]
 
 
 @lru_cache(maxsize=2)
@@ -178,7 +183,7 @@ class LearnUnit(Unit):
 
     def do(self, folder: Path) -> Finding:
         """Save the model."""
-        demonstrations = [one.demonstration for one in _drives(self.needed(Teach), folder)]
+        demonstrations, _ = _drives(self.needed(Teach), folder)
         if not self.length:
             learn_map(demonstrations, FEATURES).save(self.file(folder))
             return {"file": True}
@@ -223,7 +228,7 @@ class Recognize(Unit):
 
     def do(self, folder: Path) -> Finding:
         """Evaluate the answers for each drive."""
-        taught = _drives(self.needed(Teach), folder)
+        taught, poses = _drives(self.needed(Teach), folder)
         found = []
         for query in self.needed(Query):
             held = load_arrays(query.file(folder))
@@ -233,12 +238,12 @@ class Recognize(Unit):
                     _paper_model(*self.needed(LearnUnit), folder), views
                 )
             else:
-                centering = Centering.fit([one.demonstration.rows for one in taught], FEATURES)
-                drives = [centering.apply(one.demonstration.rows) for one in taught]
+                centering = Centering.fit([one.rows for one in taught], FEATURES)
+                drives = [centering.apply(one.rows) for one in taught]
                 matches = recognition.recognize_nearest(
                     drives, centering.apply(views), self.recognizer.length
                 )
-            demonstrated = np.concatenate([one.poses for one in taught])
+            demonstrated = np.concatenate(poses)
             found.append(recognition.judged(matches, demonstrated, held["poses"], self.criterion))
         return {"queries": found}
 
@@ -261,7 +266,7 @@ class Searches(Unit):
 
     def do(self, folder: Path) -> Finding:
         """Search with each seed; save the pictures of the first successful search of an example."""
-        taught = _drives(self.needed(Teach), folder)
+        taught, poses = _drives(self.needed(Teach), folder)
         how = DEGRADATIONS[self.trial.degradation]
         trial = self.trial
         # The clouds always differ from those in teaching.
@@ -269,9 +274,10 @@ class Searches(Unit):
         depth = trial.hindered and trial.controller != "smal-unguarded"
         simulation = simulation_in(self.site, how.shake, trial.variation, clouds, depth)
         driver = self._driver(taught, folder)
-        poses = np.concatenate([one.poses for one in taught])
-        taught_ticks = float(np.mean([len(one.poses) - 1 for one in taught]))
-        most_ticks = round(self.patience * max(len(one.poses) for one in taught))
+        taught_poses = np.concatenate(poses)
+        frames = [len(one) for one in poses]
+        taught_ticks = float(np.mean(frames)) - 1.0
+        most_ticks = round(self.patience * max(frames))
         asked: dict[str, Any] = {name: getattr(trial, name) for name in _ASKED}
         found = []
         shown = False
@@ -292,7 +298,9 @@ class Searches(Unit):
                 until_said=True,
                 waits=waits,
             )
-            found.append(finding(one, poses, self.criterion) | {"taught_ticks": taught_ticks})
+            found.append(
+                finding(one, taught_poses, self.criterion) | {"taught_ticks": taught_ticks}
+            )
             if keeps and one.outcome == "found":
                 shown = True
                 jpegs = {
@@ -302,8 +310,7 @@ class Searches(Unit):
                 save_arrays(self.file(folder), poses=one.poses, **jpegs)
         return {"searches": found, "file": shown}
 
-    def _driver(self, taught: tuple[RecordedDrive, ...], folder: Path) -> Driver:
-        demonstrations = [one.demonstration for one in taught]
+    def _driver(self, demonstrations: list[Demonstration], folder: Path) -> Driver:
         match self.trial.controller:
             case "smal" | "smal-waits" | "smal-unguarded":
                 (learned,) = self.needed(LearnUnit)

@@ -126,10 +126,8 @@ def _smal(model: Model, asked: Demonstration) -> Answers:
             raw, None if asked.odometry is None else asked.odometry[frame].tolist(), made
         )
         best = int(keyframes[belief.summary(1).keyframes[0]])
-        near = belief.weights[
-            _apart(keyframes[belief.keyframes], best, len(model.mapped.poses)) <= WITHIN
-        ].sum()
-        answers.append((best, min((1.0 - belief.lost) * float(near), 1.0), belief.lost))
+        near = belief.share(_apart(keyframes, best, len(model.mapped.poses)) <= WITHIN)
+        answers.append((best, min((1.0 - belief.lost) * near, 1.0), belief.lost))
     return np.array(answers, dtype=np.float64)
 
 

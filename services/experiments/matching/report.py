@@ -12,7 +12,7 @@ from schemas.codec import printable
 from services.experiments.matching.traverse import Traverse
 from services.experiments.words import counted, table
 from smal.evaluation.ground_truth import IntervalTruth
-from smal.evaluation.precision_recall import PrecisionRecall, block_length, bootstrap, intervals_of
+from smal.evaluation.precision_recall import PrecisionRecall, figures_of
 from smal.evaluation.reliability import Reliability, known_from_unknown
 from smal.likelihood import evenly
 from smal.place_recognition import Matches
@@ -34,19 +34,14 @@ class MatchQuality:
     def of(cls, matches: Matches, truth: IntervalTruth, length: int, *, probable: bool) -> Self:
         """Evaluate the matches of a method with windows of this length."""
         judgement = truth.judge(matches)
-        judged = int(truth.judged.sum())
         curve = PrecisionRecall.of(judgement)
         reliability = Reliability.of(judgement) if probable else None
-        intervals = intervals_of(bootstrap(judgement, block_length(judged, length)))
         known = known_from_unknown(judgement, 1.0 - matches.unknown if probable else matches.score)
         figures: dict[str, float | tuple[float, float]] = {
-            "judged": judged,
+            "judged": int(truth.judged.sum()),
             "to_find": int(truth.findable.sum()),
-            "auc": curve.auc,
-            "auc_95": intervals.auc,
-            "recall_at_100_precision": curve.recall_at_100_precision,
-            "recall_at_100_precision_95": intervals.recall_at_100_precision,
         }
+        figures |= figures_of(curve, judgement, length)
         figures |= {} if reliability is None else {"calibration_error": reliability.error}
         figures |= {} if known is None else {"known_from_unknown": known}
         return cls(curve, reliability, figures)

@@ -272,9 +272,7 @@ def benchmark(
         range(TEACHING_SEED, TEACHING_SEED + taught), desc="teaching", dynamic_ncols=True
     ):
         made = drive(simulation, _FEATURES, seed)
-        judges.append(
-            Judge(learn([drive_of(made).demonstration], _FEATURES), made["poses"], *within)
-        )
+        judges.append(Judge(learn([drive_of(made)], _FEATURES), made["poses"], *within))
     asked = []
     purposes: list[Purpose] = ["drive", "recovery"]
     days = [

@@ -57,7 +57,7 @@ class NotingGate(CommandGate):
             self._stood_s = now_s
         elif self._stood_s is not None and now_s - self._stood_s > _STANDS_S:
             self._stood_s = None
-            self.arm(self.emergency_stop, "")
+            self.arm(self.latched_stop, "")
         return told
 
     def arm(self, stop: int, session: str) -> str | None:

@@ -229,8 +229,8 @@ class Rig:
     def _arm(self, cause: str | None = None) -> Detail:
         """Arm a robot that stands, for this cause or any; return what it tells of itself."""
         told = self.bus.call("robot", "status", Nothing(), Status).detail
-        if told["emergency_stop"] and cause in (None, told["stop_cause"]):
-            self.bus.call("robot", "arm", ArmRequest(stop=int(told["emergency_stop"])), Nothing)
+        if told["latched_stop"] and cause in (None, told["stop_cause"]):
+            self.bus.call("robot", "arm", ArmRequest(stop=int(told["latched_stop"])), Nothing)
         self._armed = True
         return told
 

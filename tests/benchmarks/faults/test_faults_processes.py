@@ -77,17 +77,17 @@ def test_every_key_and_call_of_every_role_is_flooded_but_a_stop_s(secure: bool) 
 def test_a_robot_that_notes_its_stops_stands_for_each_and_drives_on(tmp_path: Path) -> None:
     notes = tmp_path / "stops"
     gate = NotingGate(notes, attended=False)
-    assert gate.arm(gate.emergency_stop, "") is None
+    assert gate.arm(gate.latched_stop, "") is None
     gate.begin("e", "policy")
     stop = EXAMPLES[COMMANDS["emergency_stop"].message].model_copy(
         update={"source": "emergency_stop", "sequence": 7}
     )
     gate.offer(stop, 1.0)
     assert read_notes(notes)[7].keys() == {"latched_s"}
-    assert gate.applied(1.02).reason == "emergency_stop"
+    assert gate.applied(1.02).reason == "latched_stop"
     assert read_notes(notes)[7].keys() == {"latched_s", "stood_s"}
-    assert gate.applied(1.1).reason == "emergency_stop"
+    assert gate.applied(1.1).reason == "latched_stop"
     gate.applied(1.2)
-    assert not gate.emergency_stop
+    assert not gate.latched_stop
     assert not gate.taken_over
     assert [Stop("", 1e5, late_s).in_time for late_s in (None, 0.51, 0.5)] == [False, False, True]

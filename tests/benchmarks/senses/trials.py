@@ -43,7 +43,7 @@ class Trial:
 
 def teach(simulation: Simulation) -> Model:
     """Learn a model of one drive of the expert."""
-    return learn([drive_of(drive(simulation, FEATURES, TEACHING_SEED)).demonstration])
+    return learn([drive_of(drive(simulation, FEATURES, TEACHING_SEED))])
 
 
 def by_hand(

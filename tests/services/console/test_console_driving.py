@@ -300,7 +300,7 @@ def test_episode_does_not_begin_when_its_person_has_left(
     goes_on.set()
     eventually(lambda: "not begun: the person who asked has left" in other.news())
     assert other.state["robot"]["episode"] is None
-    assert robot.gate.emergency_stop, "it was not armed"
+    assert robot.gate.latched_stop, "it was not armed"
 
 
 Opening = tuple[threading.Event, threading.Event]  # A world is being opened; the robot goes on.

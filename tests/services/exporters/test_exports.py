@@ -93,7 +93,7 @@ KEPT = {
 
 def from_first(episode: RecordedEpisode, ticks: list[int]) -> NDArray[np.float64]:
     """Return the poses at ticks in the frame of the first pose."""
-    x, y, heading = np.array([episode.wheels(tick) for tick in ticks]).T
+    x, y, heading = np.array([episode.odometry[tick].pose for tick in ticks]).T
     place = (x - x[0] + 1j * (y - y[0])) * np.exp(-1j * heading[0])
     return np.stack([place.real, place.imag, heading - heading[0]], axis=1)
 

@@ -59,7 +59,7 @@ def check_drive(episode: RecordedEpisode, *, blurred: int = 0, within_m: float =
         assert off[tick] < min(off.min() + 0.5, 10.0)
     assert sum(one != other for one, other in zip(atoms_of(episode), MADE, strict=True)) <= blurred
     for tick in episode.odometry:
-        x_m, y_m, heading_rad = episode.wheels(tick)
+        x_m, y_m, heading_rad = episode.odometry[tick].pose
         x, y, heading = sources.drive(10.0)[tick].pose
         assert np.hypot(x_m - x, y_m - y) < within_m
         assert abs(heading_rad - heading) < 0.03
@@ -157,7 +157,7 @@ def test_tub_has_odometry_when_speeds_are_given(tmp_path: Path) -> None:
     )
     assert report.odometry == "computed from velocities"
     way = episode_of(report)
-    assert (way.wheels(15)[0], way.wheels(19)[2]) == (
+    assert (way.odometry[15].pose[0], way.odometry[19].pose[2]) == (
         pytest.approx(3.0, abs=0.02),
         pytest.approx(0.32, abs=0.02),
     )

@@ -373,6 +373,12 @@ def test_public_router_is_refused_unless_it_is_insecure(host: str) -> None:
         Router(f"tcp/{host}:7447")
 
 
+def test_router_refuses_certificates_when_it_is_insecure(keys: Path, free_endpoint: str) -> None:
+    address = free_endpoint.replace("tcp/", "tls/")
+    with pytest.raises(BusError, match="--insecure contradicts certificates"):
+        Router(address, credentials_in(keys, "router"), insecure=True)
+
+
 def test_a_router_that_others_reach_runs_when_it_is_told_to(free_endpoint: str) -> None:
     everywhere = free_endpoint.replace("127.0.0.1", "0.0.0.0")  # noqa: S104 - what is tried
     with closing(Router(everywhere, insecure=True)), closing(Bus(ROBOT, everywhere)) as bus:

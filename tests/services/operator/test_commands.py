@@ -25,7 +25,7 @@ class Operator:
     def beat(
         self, tick: int, reason: str = "silence", episode: str = "e", stop: int = 7
     ) -> tuple[str, str, int, int] | None:
-        source = {"silence": None, "emergency_stop": "emergency_stop"}.get(reason, "teleop")
+        source = {"silence": None, "latched_stop": "emergency_stop"}.get(reason, "teleop")
         return brief(self.service.handle(applied(tick, reason, source, episode, stop)))
 
 
@@ -37,8 +37,8 @@ def applied(
         {"robot": "r", "episode": episode, "tick": tick, "stamp_ns": tick, "atom": "stop"}
         | {"linear": 0.0, "angular": 0.0, "source": source, "reason": reason}
         | (
-            {"emergency_stop": stop, "stop_cause": "emergency_stop"}
-            if reason == "emergency_stop"
+            {"latched_stop": stop, "stop_cause": "emergency_stop"}
+            if reason == "latched_stop"
             else {}
         )
     )
@@ -116,7 +116,7 @@ def test_arming_releases_the_stop_that_the_robot_reported(operator: Operator) ->
     assert operator.service.to_release == 0
     operator.service.stop_for_emergency()
     assert operator.service.to_release is None, "the robot has not told its number yet"
-    operator.beat(1, "emergency_stop", stop=9)
+    operator.beat(1, "latched_stop", stop=9)
     assert operator.service.to_release == 9
 
 
@@ -184,8 +184,8 @@ def test_stop_is_released_only_by_a_later_key(
                 gate.stop()
         elif step == "heartbeat":
             tick += 1
-            stop = gate.emergency_stop
-            repeated = operator.beat(tick, "emergency_stop" if stop else "silence", stop=stop)
+            stop = gate.latched_stop
+            repeated = operator.beat(tick, "latched_stop" if stop else "silence", stop=stop)
             assert (repeated is not None) == (held and not stop and (asked is None or since))
             if repeated is not None:
                 gate.stop()

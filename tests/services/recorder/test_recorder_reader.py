@@ -55,7 +55,7 @@ def test_recording_is_unchanged_when_read_back(tmp_path: Path) -> None:
     for tick in range(5):
         image = decode_image(bytes(read.images[tick]))
         assert np.abs(image.astype(int) - pixels(tick)).max() <= 4
-        assert read.wheels(tick) == (1.5 * tick, 0.1, 0.02)
+        assert read.odometry[tick].pose == (1.5 * tick, 0.1, 0.02)
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def test_contents_are_ordered_when_messages_come_late(tmp_path: Path) -> None:
             (
                 known,
                 [
-                    [(tick, read.atom(tick), read.wheels(tick)) for tick in piece.tolist()]
+                    [(tick, read.atom(tick), read.odometry[tick].pose) for tick in piece.tolist()]
                     for piece in read.pieces()
                 ],
             )

@@ -113,7 +113,7 @@ def decided(path: Path, model: Model) -> list[tuple[Velocity, str, smal.Belief]]
     for tick in sorted(recorded.images):
         elapsed_s = None if last_ns is None else (stamps[tick] - last_ns) / 1e9
         image = decode_image(bytes(recorded.images[tick]))
-        robot.step(image, recorded.wheels(tick), elapsed_s)
+        robot.step(image, recorded.odometry[tick].pose, elapsed_s)
         last_ns = stamps[tick]
         decisions.append((Velocity(*robot.made), robot.decision.kind, robot.belief))
     return decisions

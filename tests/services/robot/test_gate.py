@@ -127,13 +127,13 @@ def test_started_robot_stands_until_it_is_armed() -> None:
     gate = CommandGate()
     assert gate.stop_cause == "not_armed"
     assert begun(gate).offer(command(0), 10.0) is None, "what it would do is heard"
-    assert gate.applied(10.0) == Applied(STANDING, None, "emergency_stop")
-    assert gate.arm(gate.emergency_stop, "") is None
+    assert gate.applied(10.0) == Applied(STANDING, None, "latched_stop")
+    assert gate.arm(gate.latched_stop, "") is None
     assert gate.stop_cause is None
 
 
 def test_no_stop_from_before_a_restart_is_released_after_it() -> None:
-    numbers = {CommandGate().emergency_stop for _ in range(100)}
+    numbers = {CommandGate().latched_stop for _ in range(100)}
     assert len(numbers) == 100
     assert all(0 < number < 2**62 for number in numbers)
     assert all(abs(one - other) > 10 for one in numbers for other in numbers if one != other)
@@ -144,14 +144,14 @@ def test_a_stop_is_released_by_its_own_number_alone(gate: CommandGate, number: i
     gate.stop()
     gate.stop()
     assert gate.arm(number, "") == "another stop was latched since; arm again"
-    assert gate.emergency_stop == 3
+    assert gate.latched_stop == 3
     assert gate.arm(3, "") is None
-    assert gate.emergency_stop == 0
+    assert gate.latched_stop == 0
     assert gate.arm(number, "") == "no stop is latched"
     # Released once: the number is not good for the next one.
     gate.stop()
     assert gate.arm(3, "") == "another stop was latched since; arm again"
-    assert gate.emergency_stop == 4
+    assert gate.latched_stop == 4
 
 
 def test_graver_stop_cause_is_reported_in_any_order() -> None:
@@ -193,7 +193,7 @@ def test_emergency_stop_is_not_hidden_by_another_stop(how: str) -> None:
     else:
         hear(gate, "o", 1, 10.0, present=False)
     gate.other.join()
-    assert (gate.stop_cause, gate.emergency_stop) == ("emergency_stop", 3)
+    assert (gate.stop_cause, gate.latched_stop) == ("emergency_stop", 3)
 
 
 @pytest.mark.parametrize("sequence", [0, 1])
@@ -226,7 +226,7 @@ def test_one_operator_at_a_time(gate: CommandGate, other: str) -> None:
     assert gate.offer(command(0, source="teleop", session=other), 10.0) == "not the operator"
     gate.stop()
     assert gate.arm(2, other) == gate.arm(7, other) == THEIRS
-    assert gate.emergency_stop == 2
+    assert gate.latched_stop == 2
     assert gate.arm(2, "o") is None
     assert gate.resume("e", 0, other) == THEIRS
     assert gate.taken_over
@@ -250,7 +250,7 @@ def test_an_attended_robot_moves_only_while_an_operator_is_there() -> None:
     hear(gate, "o", 1, 10.05)
     assert gate.applied(10.0).velocity == KEYS["forward"]
     hear(gate, "o", 2, 10.1, present=False)
-    assert (gate.emergency_stop, gate.stop_cause) == (2, "operator_lost")
+    assert (gate.latched_stop, gate.stop_cause) == (2, "operator_lost")
 
 
 def test_process_holds_the_lease_until_it_is_silent(gate: CommandGate) -> None:

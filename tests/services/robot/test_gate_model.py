@@ -15,6 +15,9 @@ from tests.services.robot.gating import beat, command
 
 SESSIONS = st.sampled_from(["", "o", "p"])
 
+#: Causes of a stop, the gravest last.
+GRAVITY: list[StopCause] = ["not_armed", "operator_lost", "fault", "emergency_stop"]
+
 
 class GateMachine(RuleBasedStateMachine):
     """Against a model that keeps everything that was said for ever, and picks by definition."""
@@ -35,8 +38,8 @@ class GateMachine(RuleBasedStateMachine):
     def restart(self) -> None:
         """Kill the process and start it again."""
         self.gate = CommandGate(self.max_age_s, attended=self.attended)
-        self.stop = self.gate.emergency_stop
-        self.emergency = False
+        self.stop = self.gate.latched_stop
+        self.cause: StopCause = "not_armed"
         self.operator: str | None = None
         self.answered_s = -math.inf
         self.pulses = [(7, -math.inf)]
@@ -63,10 +66,11 @@ class GateMachine(RuleBasedStateMachine):
             self.latched("operator_lost")
 
     def latched(self, cause: StopCause) -> None:
-        assert self.gate.emergency_stop not in (0, self.stop), "every stop has a number of its own"
-        self.emergency = cause == "emergency_stop" or (self.stop != 0 and self.emergency)
-        assert self.gate.stop_cause == ("emergency_stop" if self.emergency else cause)
-        self.stop = self.gate.emergency_stop
+        assert self.gate.latched_stop not in (0, self.stop), "every stop has a number of its own"
+        causes = (cause, self.cause) if self.stop else (cause,)
+        self.cause = max(causes, key=GRAVITY.index)
+        assert self.gate.stop_cause == self.cause
+        self.stop = self.gate.latched_stop
 
     @rule()
     def frame(self) -> None:
@@ -191,9 +195,9 @@ class GateMachine(RuleBasedStateMachine):
             if self.now <= min(self.captured[c.tick] + self.max_age_s, at + SILENCE_S)
         ]
         assert (self.gate.taken_over, self.gate.operator) == (self.taken_over, self.operator)
-        assert self.gate.emergency_stop == self.stop
+        assert self.gate.latched_stop == self.stop
         if self.stop:
-            assert (applied.velocity, applied.reason) == (STANDING, "emergency_stop")
+            assert (applied.velocity, applied.reason) == (STANDING, "latched_stop")
         elif not fresh:
             assert applied == Applied(
                 STANDING, None, "taken_over" if self.taken_over else "silence"

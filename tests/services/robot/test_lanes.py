@@ -43,7 +43,7 @@ def far(settings: ServiceSettings, way: Link) -> ServiceSettings:
 
 def drive(client: Bus, robot: Robot) -> None:
     """Have the policy drive the robot."""
-    client.call("robot", "arm", ArmRequest(stop=robot.gate.emergency_stop), Nothing)
+    client.call("robot", "arm", ArmRequest(stop=robot.gate.latched_stop), Nothing)
     client.call("robot", "reset", RUN, ResetReply)
     eventually(lambda: robot.wheels.driven)
 

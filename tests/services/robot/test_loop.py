@@ -95,7 +95,7 @@ def test_loop_reports_changes_of_the_executed_command() -> None:
         ((1.0, 0.0), "command"),
         ((0.5, 0.0), "command"),
         ((0.0, 0.5), "command"),
-        ((0.0, 0.0), "emergency_stop"),
+        ((0.0, 0.0), "latched_stop"),
     ]
 
 

@@ -168,7 +168,7 @@ def test_only_requester_or_operator_cancels_an_opening_world(
     node = Node("robot", settings)
     RobotService(runner, node)
     run_node(node)
-    client.call("robot", "arm", ArmRequest(stop=gate.emergency_stop), Nothing)
+    client.call("robot", "arm", ArmRequest(stop=gate.latched_stop), Nothing)
 
     def cancel(session: str) -> str:
         try:
@@ -243,7 +243,7 @@ def test_no_forged_command_reaches_the_gate(
     run_node(node)
     ready(client, "robot")
     encoding = encoding_of(Command)
-    latched = gate.emergency_stop
+    latched = gate.latched_stop
     with stranger(router_endpoint) as session:
         for source in SOURCES:
             key = COMMANDS[source].key("rescuebot")
@@ -261,5 +261,5 @@ def test_no_forged_command_reaches_the_gate(
         )
     status = status_of(client, "robot")
     assert set(status.received) <= {PULSE.name}  # its own
-    assert gate.emergency_stop == latched + each[COMMANDS["emergency_stop"].name]
+    assert gate.latched_stop == latched + each[COMMANDS["emergency_stop"].name]
     assert gate.stop_cause == "emergency_stop"

@@ -199,7 +199,7 @@ def test_a_stop_holds_from_the_next_step_on() -> None:
     runner.gate.stop()
     messages = advance(runner, clock, 0.1)
     assert {atom for atom, _ in body.orders[given:]} == {"stop"}
-    assert applied(messages)[0].reason == "emergency_stop"
+    assert applied(messages)[0].reason == "latched_stop"
     assert applied(messages)[0].stop_cause == "emergency_stop"
 
 

@@ -31,8 +31,8 @@ def test_stopped_robot_begins_no_episode_until_it_is_armed(cause: StopCause, dri
         reset(runner, driver=driver)
     assert runner.running is episode, "a refused reset ends nothing"
     with pytest.raises(ServiceError, match="another stop was latched since"):
-        runner.arm(ArmRequest(stop=runner.gate.emergency_stop + 1))
-    runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
+        runner.arm(ArmRequest(stop=runner.gate.latched_stop + 1))
+    runner.arm(ArmRequest(stop=runner.gate.latched_stop))
     reset(runner, driver="teleop")
     assert runner.running is not episode
 
@@ -45,7 +45,7 @@ def test_after_a_stop_the_driver_goes_on_when_it_is_told_to() -> None:
     advance(runner, clock, 0.1)
     runner.gate.stop()
     advance(runner, clock, 0.1)
-    runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
+    runner.arm(ArmRequest(stop=runner.gate.latched_stop))
     answer(runner)
     advance(runner, clock, 0.1)
     assert body.orders[-1][0] == "stop"
@@ -66,7 +66,7 @@ def test_stop_between_episodes_is_released_by_any_person() -> None:
     runner, _ = begin(LineBody(Clock()), mode="realtime")
     runner.end()
     runner.gate.stop()
-    runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
+    runner.arm(ArmRequest(stop=runner.gate.latched_stop))
     with pytest.raises(ServiceError, match="a person has taken over"):
         reset(runner)
     runner.resume(ResumeRequest(episode="none", tick=0))
@@ -150,7 +150,7 @@ def test_takeover_ends_when_its_operator_is_gone(how: str) -> None:
         beat(runner, "o", 1, operator=True, present=False)
     else:
         runner.gate.watch(1000.0)
-        runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
+        runner.arm(ArmRequest(stop=runner.gate.latched_stop))
     with pytest.raises(ServiceError, match="a person has taken over; resume"):
         reset(runner, session="a")
     reset(runner, session="b", driver="teleop")

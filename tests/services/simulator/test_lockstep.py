@@ -103,12 +103,12 @@ def test_stopped_robot_stands_and_renders_nothing() -> None:
     runner.gate.stop()
     (applied,) = runner.poll()
     facts = (applied.reason, applied.answered_tick, applied.latency_ns)
-    assert facts == ("emergency_stop", None, None)
+    assert facts == ("latched_stop", None, None)
     for _ in range(20):
         assert answer(runner) == []
     assert not list(runner.poll())
     assert body.moves == []
-    runner.arm(ArmRequest(stop=runner.gate.emergency_stop))
+    runner.arm(ArmRequest(stop=runner.gate.latched_stop))
     assert {
         atom
         for _ in range(3)
@@ -126,7 +126,7 @@ def test_stop_during_a_step_ends_that_step() -> None:
         assert isinstance(message, CommandApplied)
         runner.gate.stop()
     assert body.moves == []
-    assert [m.reason for m in runner.poll() if isinstance(m, CommandApplied)] == ["emergency_stop"]
+    assert [m.reason for m in runner.poll() if isinstance(m, CommandApplied)] == ["latched_stop"]
 
 
 class Broken(LineBody):

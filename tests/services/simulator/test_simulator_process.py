@@ -28,7 +28,7 @@ def test_lockstep_episode_waits_and_survives_malformed_commands(
         return eventually(lambda: status_of(client, "robot")).detail[what]
 
     def arm() -> None:
-        client.call("robot", "arm", ArmRequest(stop=int(str(told("emergency_stop") or 0))), Nothing)
+        client.call("robot", "arm", ArmRequest(stop=int(str(told("latched_stop") or 0))), Nothing)
 
     with process(
         "robot", router_endpoint, "--world", "yard", "--camera-width", "64", "--camera-height", "48"

@@ -214,7 +214,7 @@ def test_emergency_stop_survives_when_pressed_during_arming(
     console.wait_for(r"EMERGENCY STOP  \|  robot: emergency stop")
     assert (robot.arms, robot.resets) == ([1], [])
     # A stop is said again, with a new number, until the robot has it.
-    assert robot.gate.emergency_stop >= 2
+    assert robot.gate.latched_stop >= 2
     # The next press is for the stop that has been told since.
     eventually(lambda: (console.type(b"n"), robot.resets)[1])
     assert robot.arms[-1] >= 2

@@ -11,11 +11,8 @@ from services.experiments.evaluation.plan import JUDGED_TICKS, RecognizerName, T
 from services.experiments.evaluation.units import Errand, Finding, Recognize, Searches, Unit
 from smal.evaluation.ground_truth import Judgement
 from smal.evaluation.precision_recall import (
-    Intervals,
     PrecisionRecall,
-    block_length,
-    bootstrap,
-    intervals_of,
+    figures_of,
     wilson_interval,
 )
 
@@ -30,7 +27,7 @@ class Recognized:
     degradation: str
     judgement: Judgement
     curve: PrecisionRecall
-    intervals: Intervals
+    figures: dict[str, float | tuple[float, float]]  # With 95 % intervals, by name.
 
     def as_json(self, criterion: str) -> dict[str, Any]:
         """Return the numbers."""
@@ -41,10 +38,7 @@ class Recognized:
             "criterion": criterion,
             "queries": int(self.judgement.score.size),
             "findable": int(self.judgement.findable.sum()),
-            "auc": self.curve.auc,
-            "auc_95": list(self.intervals.auc),
-            "recall_at_100_precision": self.curve.recall_at_100_precision,
-            "recall_at_100_precision_95": list(self.intervals.recall_at_100_precision),
+            **self.figures,
             "recall": self.curve.recall.round(5).tolist(),
             "precision": self.curve.precision.round(5).tolist(),
         }
@@ -208,7 +202,6 @@ def recognized(
     late = tick >= world.first_judged_tick
     answered, right, findable = (each[late].astype(bool) for each in flags)
     judgement = Judgement(score[late].astype(float), answered, right, np.ones_like(right), findable)
-    block = block_length(judgement.score.size, -(-(world.first_judged_tick + 1) // JUDGED_TICKS))
     curve = PrecisionRecall.of(judgement)
-    intervals = intervals_of(bootstrap(judgement, block))
-    return Recognized(recognizer, degradation, judgement, curve, intervals)
+    figures = figures_of(curve, judgement, -(-(world.first_judged_tick + 1) // JUDGED_TICKS))
+    return Recognized(recognizer, degradation, judgement, curve, figures)

@@ -67,7 +67,9 @@ def test_areas(world: WorldResults) -> None:
     assert (single.curve.auc, single.curve.recall_at_100_precision) == pytest.approx(
         (right / 56, right / 56)
     )
-    assert single.intervals.auc[0] < single.curve.auc < single.intervals.auc[1]
+    interval = single.figures["auc_95"]
+    assert isinstance(interval, tuple)
+    assert interval[0] < single.curve.auc < interval[1]
 
 
 def test_counts_of_searches(world: WorldResults) -> None:
