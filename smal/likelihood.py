@@ -4,10 +4,14 @@ A view stands out at a place by z: its cosine with the view there, less the medi
 of taught views, divided by their spread. Noise, darkness and another season lower all cosines and hardly change z. The
 size of the map has no influence either.
 
-*Elsewhere*, z has the distribution that it has between taught views of different places, look-alikes included. *Here*,
-a view stands out by a share of the value between neighbouring taught views, with the scatter of elsewhere. On the
-taught day the share is 1; under other light or behind an obstacle it is less. The share is unknown beforehand but
-lasts, so the filter estimates it together with the place. With the share 0 something hides the place, and the view
+*Elsewhere*, particles follow the start, the side and the turn that suit the views best. z has the distribution that it
+has on the best of neighbouring wrong ways, look-alikes included. *Here*, the right view stands out by a share of the
+value between neighbouring taught views, with the scatter of a fixed wrong view; particles follow it, or a wrong way
+beside it that suits better. z is then at most z0 if both are: the product of the two distribution functions. The
+smaller the share, the more the right place resembles a wrong one, so that a faint match gives little evidence.
+
+On the taught day the share is 1; under other light or behind an obstacle it is less. The share is unknown beforehand
+but lasts, so the filter estimates it together with the place. With the share 0 something hides the place, and the view
 gives no evidence.
 
 Neighbouring views are not independent. They correlate by s^gamma, where s is their cosine. A view is new by
@@ -30,6 +34,8 @@ SHARES = np.linspace(0.0, 1.0, 5)
 #: Prior probabilities of the shares.
 ANY_DAY: Final = np.append(0.0, np.full(SHARES.size - 1, 1.0 / (SHARES.size - 1)))
 _FINE = np.linspace(0.0, 1.0, 101)
+_WIDTH = float(GRID[1] - GRID[0])
+_EDGES = np.append(GRID, GRID[-1] + _WIDTH) - _WIDTH / 2.0
 
 
 def evenly(count: int, most: int) -> Indices:
@@ -90,6 +96,7 @@ class Likelihood:
         cls,
         here: AnyArray,
         elsewhere: AnyArray,
+        followed: AnyArray,
         independent: float,
         gamma: float,
         config: MapConfig = MAP_CONFIG,
@@ -102,14 +109,16 @@ class Likelihood:
             z between neighbouring taught views.
         elsewhere : array (m,)
             z between views of different places.
+        followed : array (l,)
+            z on the best of neighbouring wrong ways, as particles follow it.
         independent : float
-            Number of independent values in `elsewhere`.
+            Number of independent places.
         gamma : float
         config : MapConfig
         """
-        width = GRID[1] - GRID[0]
-        edges = np.append(GRID, GRID[-1] + width) - width / 2.0
-        p_elsewhere = _distribution(elsewhere, independent, edges, config.usual)
+        scatter = _distribution(elsewhere, independent, config.usual)
+        p_followed = _distribution(followed, independent, config.usual)
+        below_followed = np.cumsum(p_followed)
         zero = int(np.argmin(np.abs(GRID)))
         positive = np.maximum(here, 0.0)
         rows = np.zeros((SHARES.size, GRID.size))
@@ -117,10 +126,11 @@ class Likelihood:
             shares = _FINE[(least <= _FINE) & (most >= _FINE)]
             shown = np.multiply.outer(shares, positive).ravel()
             shown = np.clip(shown, 0.0, GRID[-1])
-            counts, _ = np.histogram(shown, edges)
-            scattered = np.convolve(counts / shown.size, p_elsewhere)
-            p_here = scattered[zero : zero + GRID.size]
-            row[:] = log_ratio(p_here, p_elsewhere)
+            counts, _ = np.histogram(shown, _EDGES)
+            scattered = np.convolve(counts / shown.size, scatter)
+            # The right view, or a wrong one beside it that suits better.
+            below = np.cumsum(scattered[zero : zero + GRID.size]) * below_followed
+            row[:] = log_ratio(np.diff(below, prepend=0.0), p_followed)
         # Any view can be hidden.
         rows = np.clip(rows, math.log(config.hidden), 50.0)
         return cls(rows, gamma)
@@ -140,19 +150,18 @@ class Likelihood:
         return math.pow(limited, self.gamma)
 
 
-def _distribution(z: AnyArray, independent: float, edges: Floats, usual: float) -> Floats:
+def _distribution(z: AnyArray, independent: float, usual: float) -> Floats:
     """Return the distribution of z over the `GRID`: a histogram up to the quantile `usual`, a fitted tail above.
 
     Large z are too rare to count. Excesses over a high threshold are exponential. The predictive distribution of the
     next of n such excesses, with an unknown mean, is a Pareto distribution (Lomax).
     """
-    width = GRID[1] - GRID[0]
     z = np.minimum(z, GRID[-1])
     threshold = float(np.quantile(z, usual))
     excess = z[z > threshold] - threshold
-    mean = max(float(excess.mean()), width) if excess.size else 1.0
+    mean = max(float(excess.mean()), _WIDTH) if excess.size else 1.0
     count = max((1.0 - usual) * independent, 1.0)
-    counts, _ = np.histogram(z[z <= threshold], edges)
+    counts, _ = np.histogram(z[z <= threshold], _EDGES)
     body = counts.astype(np.float64)
     beyond = np.maximum(GRID - threshold, 0.0)
     tail = (1.0 + beyond / (count * mean)) ** (-count - 1.0) * (threshold <= GRID)

@@ -57,7 +57,7 @@ class MotionNoise(NamedTuple):
     ahead: float
     #: Error of a turn after a radian, radians; grows with the square root of the turn.
     turn: float
-    #: Error of the logarithm of the true speed over the reported speed.
+    #: Error of the logarithm of the true speed over the reported speed; turns scale with the speed.
     pace: float
     #: Way over which a pace lasts, correlation lengths.
     pace_lengths: float = 10.0
@@ -67,8 +67,10 @@ class MotionNoise(NamedTuple):
 
 #: Wheels slip a little, and the odometry of two robots differs by a twentieth.
 BY_ODOMETRY: Final = MotionNoise(ahead=0.05, turn=0.03, pace=0.05)
-#: Only the usual movement of an atom is known. People drive half as fast, or half as fast again.
-BY_ATOMS: Final = MotionNoise(ahead=0.1, turn=0.1, pace=0.5)
+#: Only the usual movement of an atom is known. Another drive is half or twice as fast (one standard
+#: deviation). Within a correlation length or a radian, the robot stops or moves twice as far (two
+#: standard deviations).
+BY_ATOMS: Final = MotionNoise(ahead=0.5, turn=0.5, pace=math.log(2.0))
 
 
 def wrapped(angle_rad: AnyArray) -> AnyArray:

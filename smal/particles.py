@@ -149,11 +149,11 @@ class Particles:
         root = math.sqrt(lengths)
         kept = math.exp(-lengths / noise.pace_lengths)
         self.pace = kept * self.pace + math.sqrt(1.0 - kept**2) * pace_noise
-        ahead = movement.ahead * np.exp(noise.pace * self.pace)
-        ahead += noise.ahead * root * length * ahead_noise
+        pace = np.exp(noise.pace * self.pace)
+        ahead = movement.ahead * pace + noise.ahead * root * length * ahead_noise
         jitter_deg = self._config.jitter_deg * math.sqrt(newness)
         drift_deg = math.hypot(noise.drift_deg * root, jitter_deg)
-        turn = movement.turn_rad + math.radians(drift_deg) * heading_noise
+        turn = movement.turn_rad * pace + math.radians(drift_deg) * heading_noise
         turn += noise.turn * math.sqrt(abs(movement.turn_rad)) * turn_noise
         middle = self.poses[:, 2] + turn / 2.0
         x = ahead * np.cos(middle)

@@ -5,10 +5,10 @@ has the same heading twice. There a virtual view compensates the turn between tw
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, NamedTuple, Self
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.optimize import isotonic_regression
@@ -19,7 +19,7 @@ from smal.features.extraction import in_parallel
 from smal.features.resizing import PIXELS, fitted
 from smal.files.packed import unpacked
 from smal.keyframes import MapConfig
-from smal.likelihood import Likelihood, evenly, over, scale
+from smal.likelihood import Likelihood, evenly, standing_out
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
 
 #: Returns the centred features (n, m) of n images.
@@ -403,7 +403,7 @@ def _half_way(
 
 @dataclass(frozen=True, eq=False)
 class _Looks:
-    """The views of k keyframes, as views of a robot at each of them."""
+    """The views of k keyframes; the own view of each is treated as a robot's view."""
 
     #: (k, 3)
     poses: Floats
@@ -411,31 +411,17 @@ class _Looks:
     drives: Int32s
     #: (k, 3, turns, r)
     views: Int8s
-    #: (k, r) straight ahead from the keyframe itself.
-    own: Float32s
-    #: Median and spread of the cosines of each keyframe's view with the sample of elsewhere.
-    scales: Sequence[tuple[float, float]]
+    #: Views of the sample of elsewhere.
+    sample: Float32s
 
-    @classmethod
-    def of(cls, poses: Floats, drives: Int32s, views: Int8s, reference: int) -> Self:
-        """Compare the views of keyframes with a sample of them."""
-        own = unpacked(views[:, 1, STRAIGHT])
-        cosines = own @ own[evenly(len(own), reference)].T
-        return cls(poses, drives, views, own, [scale(sample) for sample in cosines])
-
-    def stands_out(self, cosines: AnyArray, key: int) -> AnyArray:
-        """Return the z values of cosines with the view of a keyframe."""
-        return over(cosines, *self.scales[key])
+    def own(self, keys: Indices) -> Float32s:
+        """Return the views straight ahead from keyframes themselves, (n, r)."""
+        return unpacked(self.views[keys, 1, STRAIGHT])
 
     def neighbours(self, key: int) -> list[int]:
         """Return the keyframes before and after a keyframe on its drive."""
         near = range(max(key - 1, 0), min(key + 2, len(self.drives)))
         return [other for other in near if other != key and self.drives[other] == self.drives[key]]
-
-    def far(self, key: int, least: float) -> Bools:
-        """Return which keyframes of the same drive are further away than `least`."""
-        apart = np.hypot(*(self.poses - self.poses[key])[:, :2].T)
-        return np.asarray((self.drives == self.drives[key]) & (apart > least))
 
     def beside(self, key: int, other: int) -> float | None:
         """Return the z value of a neighbour's view at the robot's heading; None beyond its virtual views."""
@@ -443,15 +429,40 @@ class _Looks:
         turn = STRAIGHT - round(math.degrees(turned_rad) / STEP_DEG)
         if not 0 <= turn < TURNS_DEG.size:
             return None
-        cosine = unpacked(self.views[other, 1, turn]) @ self.own[key]
-        return float(self.stands_out(cosine, key))
+        (own,) = self.own(np.array([key]))
+        cosine = unpacked(self.views[other, 1, turn]) @ own
+        return float(standing_out(cosine, self.sample @ own))
 
-    def both(self, key: int, far: Bools) -> Floats:
-        """Return the z values of a keyframe and of the next at far places and at the places after these, (2, n)."""
-        on = np.flatnonzero(far[:-1] & far[1:] & (np.diff(self.drives) == 0))
-        first = self.stands_out(self.own[on] @ self.own[key], key)
-        second = self.stands_out(self.own[on + 1] @ self.own[key + 1], key + 1)
-        return np.stack([first, second])
+    def wrong_ways(self, keys: Indices, blocks: Indices, least: float) -> Iterator[Floats]:
+        """Compare a robot's way with the ways of equally many keyframes from each keyframe of each block.
+
+        Parameters
+        ----------
+        keys : array (s,)
+            The robot's way.
+        blocks : array (n,)
+            First keyframes of blocks of s keyframes. Blocks near the robot's way, or not on its drive, are skipped.
+        least : float
+            Distance from which places are different.
+
+        Yields
+        ------
+        array (s, s, 3 * turns)
+            z by the start of the way in the block, the step on the way, and the view that is kept on it.
+        """
+        steps = np.arange(keys.size)
+        own = self.own(keys)
+        samples = own @ self.sample.T
+        for block in blocks:
+            rows = np.arange(block, block + 2 * keys.size - 1)
+            across = self.poses[rows, None, :2] - self.poses[keys, :2]
+            others = np.hypot(across[..., 0], across[..., 1]) > least
+            if not (others.all() and (self.drives[rows] == self.drives[keys[0]]).all()):
+                continue
+            views = unpacked(self.views[rows]).reshape(rows.size, -1, own.shape[1])
+            pairs = zip(own, samples, strict=True)
+            z = np.stack([standing_out(views @ view, sample) for view, sample in pairs])
+            yield z[steps, steps[:, None] + steps]
 
 
 def likelihood_of_views(
@@ -463,9 +474,11 @@ def likelihood_of_views(
 ) -> tuple[Likelihood, float]:
     """Measure the likelihood of views on keyframes, and the correlation of neighbouring views.
 
-    The own view of each keyframe is treated as a robot's view. Its neighbours show the same place; keyframes further
-    away than `MapConfig.elsewhere` on the same drive show other places. Without such places (a short drive in one
-    room) the distribution of elsewhere is normal.
+    The neighbours of a keyframe show the same place. Keyframes further away than `MapConfig.elsewhere` on the same
+    drive show other places. Without such places (a short drive in one room) the distributions of elsewhere are normal.
+
+    Particles at a wrong place follow the start, the side and the turn that suit the views best. Elsewhere is measured
+    so: over a correlation length of keyframes, on the way of a block whose mean z is largest.
 
     Parameters
     ----------
@@ -487,40 +500,57 @@ def likelihood_of_views(
     ValueError
         If no keyframe has a neighbour.
     """
-    poses = frames.poses[keyframes]
-    drives = frames.drives[keyframes]
     count = len(views)
-    looks = _Looks.of(poses, drives, views, config.reference)
-    some = evenly(count, frames.config.most_frames)
-    keys = evenly(count, frames.config.most_frames // 4)
-    # All at once: a product for each keyframe copies all places.
-    places = unpacked(views[some]).reshape(-1, views.shape[-1])
-    cosines = (looks.own[keys] @ places.T).reshape(keys.size, some.size, -1)
+    drives = frames.drives[keyframes]
+    sample = unpacked(views[evenly(count, config.reference), 1, STRAIGHT])
+    looks = _Looks(frames.poses[keyframes], drives, views, sample)
     neighbouring: list[float | None] = []
-    elsewhere = []
     alike = []
-    chains: list[AnyArray] = [np.empty((2, 0))]
-    for key, alike_key in zip(keys.tolist(), cosines, strict=True):
-        far = looks.far(key, config.elsewhere * length)
-        elsewhere.append(looks.stands_out(alike_key[far[some]], key).ravel())
+    for key in evenly(count, frames.config.most_frames // 4).tolist():
         neighbours = looks.neighbours(key)
         neighbouring += [looks.beside(key, other) for other in neighbours]
         if key + 1 in neighbours:
             first, second = frames.centred(keyframes[key : key + 2])
             alike.append(float(first @ second))
-            chains.append(looks.both(key, far))
     here = [z for z in neighbouring if z is not None]
     if not here:
         raise ValueError(
             "the demonstrations are too short, or their frames too far apart, to tell how alike views of one place are"
         )
-    apart = np.concatenate(elsewhere)
-    if not apart.size:
-        apart = np.random.default_rng(0).standard_normal(10_000)
-    correlation = _correlation(np.concatenate(chains, axis=1))
+    fixed, followed, chains = _elsewhere(looks, length, frames.config, config)
+    correlation = _correlation(chains)
     gamma = gamma_of(float(np.mean(alike)), correlation)
-    independent = _independent(poses, drives, length)
-    return Likelihood.fit(np.array(here), apart, independent, gamma, config), correlation
+    independent = _independent(looks.poses, drives, length)
+    return Likelihood.fit(np.array(here), fixed, followed, independent, gamma, config), correlation
+
+
+def _elsewhere(
+    looks: _Looks, length: float, config: CalibrationConfig, map_config: MapConfig
+) -> tuple[Floats, Floats, Floats]:
+    """Return z at fixed views of other places, z on the best of neighbouring wrong ways, and pairs of following z.
+
+    The shapes are (n,), (m,) and (2, p).
+    """
+    steps = map_config.views_a_length
+    count = len(looks.drives)
+    blocks = np.arange(0, count - 2 * steps + 2, steps)
+    blocks = blocks[evenly(blocks.size, config.most_frames // (2 * steps))]
+    fixed = [np.empty(0)]
+    followed = [np.empty(0)]
+    chains = [np.empty((2, 0))]
+    for first in evenly(count - steps + 1, config.most_frames // (4 * steps)):
+        keys = np.arange(first, first + steps)
+        if looks.drives[keys[0]] != looks.drives[keys[-1]]:
+            continue
+        for z in looks.wrong_ways(keys, blocks, map_config.elsewhere * length):
+            fixed.append(z.ravel())
+            start, view = np.unravel_index(z.mean(axis=1).argmax(), z[:, 0].shape)
+            followed.append(z[start, :, view])
+            chains.append(z[:, :2, z.shape[2] // 2].T)
+    if len(followed) == 1:
+        normal = np.random.default_rng(0).standard_normal(10_000)
+        return normal, normal, chains[0]
+    return np.concatenate(fixed), np.concatenate(followed), np.concatenate(chains, axis=1)
 
 
 def _independent(poses: Floats, drives: Int32s, length: float) -> float:

@@ -14,7 +14,7 @@ from smal.features import extract
 from smal.files.packed import unit
 from smal.filter import Belief, Filter
 from smal.map import VisualMap
-from smal.movement import STILL, Movement, placed
+from smal.movement import BY_ATOMS, STILL, Movement, placed
 from smal.particles import Particles
 from tests.smal.synthetic_world import (
     COLOR,
@@ -87,6 +87,22 @@ def test_it_follows_the_taught_way_at_any_rate_and_speed(rate_hz: float, speed: 
     assert errors[:, 1].max() < 2.0
     assert max(belief.lost for belief in beliefs[settled:]) < 0.05
     assert beliefs[-1].tracked == pytest.approx(way_of(seen), rel=0.01)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_filter_follows_a_bend_when_atoms_report_another_speed(factor: float) -> None:
+    seen = drive(way=((2.5, 90.0), (1.0, 0.0)), rate_hz=20.0)
+    found = Filter(*usual_map())
+    belief = found.observe(extract(ROOM.look(seen.poses[0]), COLOR))
+    errors = []
+    for pose, movement in zip(seen.poses[1:], seen.movements(), strict=True):
+        reported = Movement(movement.ahead / factor, movement.turn_rad / factor)
+        belief = found.observe(extract(ROOM.look(pose), COLOR), reported, BY_ATOMS)
+        errors.append(off(belief, pose))
+    settled = np.array(errors[20:])
+    assert settled[:, 0].mean() < 0.2
+    assert settled[:, 1].mean() < 3.0
+    assert belief.lost < 0.2
 
 
 @pytest.mark.parametrize(
