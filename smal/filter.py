@@ -105,6 +105,10 @@ class _Odds(NamedTuple):
     lost: float
 
 
+import os
+REPEAT=int(os.environ.get("REPEAT","1"))
+
+
 class Newness:
     """How new a view is, 0 to 1: the part of its information that earlier views did not contain.
 
@@ -134,9 +138,17 @@ class Newness:
             # The earlier views showed another scene.
             self._used = 0.0
         self._last = centred
-        like_counted = correlation(float(centred @ self._counted))
-        by_place = math.sqrt(like_counted * self._map.expected(self._step))
-        same = min(like_counted, by_place)
+        ahead, left, turned = self._step
+        turned = abs(math.remainder(turned, math.tau))
+        explained = self._map.expected(np.array([0.0, 0.0, turned]))
+        like_counted = min(correlation(float(centred @ self._counted)) / explained, 1.0)
+        by_way = self._map.expected(np.array([ahead, left, 0.0]))
+        same = min(like_counted, math.sqrt(like_counted * by_way))
+        if REPEAT:
+            same *= math.exp(-turned / self._map.repeats_rad)
+        else:
+            lc = correlation(float(centred @ self._counted))
+            same = min(lc, math.sqrt(lc * self._map.expected(self._step)))
         new = (1.0 - same) / (1.0 + same)
         newness = max(new - self._used, 0.0)
         self._used = max(new, self._used)
@@ -209,7 +221,7 @@ class Filter:
         keyframes = self._rng.choice(starts, self._config.particles)
         aside = max(self._map.aside, self._config.start_s * self._map.speed)
         straight = np.zeros(keyframes.size)
-        return self._beside(keyframes, straight, aside, self._config.first_turn_deg)
+        return self._beside(keyframes, straight, aside, float(os.environ.get('HEAD',self._config.first_turn_deg)))
 
     def _drawn_from(self, belief: Belief) -> Particles:
         """Scatter particles about the places of a belief, by their weights."""
@@ -361,7 +373,7 @@ class Filter:
         """
         tracked, jumped, sent, lost = self._odds
         looks = self._looks_at_taught()
-        counted = looks + (1.0 - looks) * self._config.untaught
+        counted = looks + (1.0 - looks) * float(os.environ.get('UNT',self._config.untaught))
         seen = seen._replace(newness=seen.newness * counted)
         # Scouts take the shares from before this view: a view unlike the tracked place gives no evidence on others.
         shares = self._tracked.shares
@@ -416,7 +428,7 @@ class Filter:
         if self._sure is None:
             return prior
         drive, pose, way = self._sure
-        reach = self._map.correlation_length + self._config.slip * way
+        reach = self._map.correlation_length * float(os.environ.get('FLOOR','1')) + self._config.slip * way
         apart = self._map.key_poses[:, :2] - pose[:2]
         distance = np.hypot(*apart.T) / reach
         near = np.exp(-0.5 * np.square(distance)) * (self._map.key_drives == drive)

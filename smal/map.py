@@ -22,7 +22,7 @@ from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG
 from smal.files.packed import BATCH, unit, unpacked
 from smal.files.stored import Content
 from smal.keyframes import MAP_CONFIG, MapConfig, without_detours
-from smal.likelihood import GRID, SHARES, Likelihood, evenly
+from smal.likelihood import GRID, SHARES, Likelihood, evenly, standing_out
 from smal.movement import Atom, Movement, placed, seen_from
 
 _T = TypeVar("_T", bound=np.floating[Any])
@@ -210,6 +210,28 @@ class VisualMap:
         keys = np.append(np.arange(len(self.keyframes)), self.looks).astype(np.intp)
         rows = np.flatnonzero(keys % step == first)
         return rows, keys[rows] // step
+
+    @cached_property
+    def repeats_rad(self) -> float:
+        """Turn after which the z values at other places correlate by 1 / e.
+
+        A turn changes views fast. But it moves two scenes alike, so that places that look alike stay alike while they
+        are in view.
+        """
+        keys = self.reference
+        poses = self.key_poses[keys]
+        across = poses[:, None, :2] - poses[:, :2]
+        far = np.hypot(*np.moveaxis(across, -1, 0)) > self.config.elsewhere * self.correlation_length
+        far |= self.key_drives[keys, None] != self.key_drives[keys]
+        if far.sum() < 3:
+            return math.radians(float(self.scene[0]) / 2.0)
+        pair = []
+        for turn in (STRAIGHT, STRAIGHT + 1):
+            views = unpacked(self.views[keys, 1, turn])
+            z = [standing_out(views @ view, self.sample @ view) for view in views]
+            pair.append(np.stack(z)[far])
+        correlation = float(np.clip(np.corrcoef(pair)[0, 1], 0.01, 0.99))
+        return -math.radians(STEP_DEG) / math.log(correlation)
 
     @cached_property
     def likelihood(self) -> Likelihood:
