@@ -105,16 +105,14 @@ class _Odds(NamedTuple):
     lost: float
 
 
-import os
-REPEAT=int(os.environ.get("REPEAT","1"))
-
-
 class Newness:
     """How new a view is, 0 to 1: the part of its information that earlier views did not contain.
 
-    A view is compared with the last view that was counted in full. A moving robot also sees other places: half of the
-    correlation of two views comes from the places, which change with the way. Therefore many small changes add up to
-    one new view. A view that comes back, or noise while the robot stands, adds none.
+    A view is compared with the last view that was counted in full. A moving robot also sees other
+    places: half of the correlation of two views comes from the places, which change with the way.
+    Therefore many small changes add up to one new view. A view that comes back, or noise while the
+    robot stands, adds none. A turn on the spot changes the view more than its information
+    (`VisualMap.repeated`).
     """
 
     def __init__(self, visual_map: VisualMap) -> None:
@@ -139,16 +137,13 @@ class Newness:
             self._used = 0.0
         self._last = centred
         ahead, left, turned = self._step
-        turned = abs(math.remainder(turned, math.tau))
-        explained = self._map.expected(np.array([0.0, 0.0, turned]))
-        like_counted = min(correlation(float(centred @ self._counted)) / explained, 1.0)
+        by_turn = self._map.expected(np.array([0.0, 0.0, turned]))
         by_way = self._map.expected(np.array([ahead, left, 0.0]))
+        # The change of the view by the turn is predictable; the rest of the change is new.
+        like_counted = correlation(float(centred @ self._counted)) / max(by_turn, 1e-9)
+        like_counted = min(like_counted, 1.0)
         same = min(like_counted, math.sqrt(like_counted * by_way))
-        if REPEAT:
-            same *= math.exp(-turned / self._map.repeats_rad)
-        else:
-            lc = correlation(float(centred @ self._counted))
-            same = min(lc, math.sqrt(lc * self._map.expected(self._step)))
+        same *= self._map.repeated(turned)
         new = (1.0 - same) / (1.0 + same)
         newness = max(new - self._used, 0.0)
         self._used = max(new, self._used)
@@ -183,6 +178,7 @@ class Filter:
         self._config = config
         self._centering = centering
         self._seed = seed
+        self._spacing = visual_map.correlation_length / visual_map.config.views_a_length
         # Cached properties are computed here, so that the first frame does not wait.
         _ = visual_map.neighbour_cosines, visual_map.sample, visual_map.overview
         self.reset()
@@ -208,7 +204,7 @@ class Filter:
         #: Components of the last new view, and the step since then.
         self._last = np.zeros(self._map.basis.shape[1], dtype=np.float32)
         self._since = np.zeros(3)
-        #: Drive and pose of the last certain position, moved on by the odometry, and the way since.
+        #: Drive and pose of the last certain position, moved on by the odometry, and its error.
         self._sure: tuple[int, Floats, float] | None = None
         if belief is not None:
             self._tracked = self._drawn_from(belief)
@@ -221,15 +217,14 @@ class Filter:
         keyframes = self._rng.choice(starts, self._config.particles)
         aside = max(self._map.aside, self._config.start_s * self._map.speed)
         straight = np.zeros(keyframes.size)
-        return self._beside(keyframes, straight, aside, float(os.environ.get('HEAD',self._config.first_turn_deg)))
+        return self._beside(keyframes, straight, aside, 180.0)
 
     def _drawn_from(self, belief: Belief) -> Particles:
         """Scatter particles about the places of a belief, by their weights."""
         which = systematic(belief.weights, self._config.particles, self._rng)
         keyframes = belief.keyframes[which]
-        spacing = self._map.correlation_length / self._map.config.views_a_length
         straight = np.zeros(which.size)
-        particles = self._beside(keyframes, straight, spacing / 2.0, STEP_DEG / 2.0)
+        particles = self._beside(keyframes, straight, self._spacing / 2.0, STEP_DEG / 2.0)
         key_poses = self._map.key_poses[keyframes]
         particles.poses += placed(belief.offsets[which], key_poses) - key_poses
         particles.tracked += belief.tracked
@@ -276,8 +271,9 @@ class Filter:
             self._jump(seen, movement)
             self._move(movement, noise, seen.newness)
             if self._sure is not None:
-                drive, pose, way = self._sure
-                self._sure = drive, placed(step, pose), way + abs(movement.ahead)
+                drive, pose, reach = self._sure
+                reach += self._config.slip * abs(movement.ahead)
+                self._sure = drive, placed(step, pose), reach
         # A probability of 0 never recovers.
         tracked = max(self._odds.tracked, 1e-12)
         self._odds = self._odds._replace(tracked=tracked)
@@ -373,7 +369,7 @@ class Filter:
         """
         tracked, jumped, sent, lost = self._odds
         looks = self._looks_at_taught()
-        counted = looks + (1.0 - looks) * float(os.environ.get('UNT',self._config.untaught))
+        counted = looks + (1.0 - looks) * self._config.untaught
         seen = seen._replace(newness=seen.newness * counted)
         # Scouts take the shares from before this view: a view unlike the tracked place gives no evidence on others.
         shares = self._tracked.shares
@@ -420,20 +416,23 @@ class Filter:
         correction = (new / whole).ravel()[drawn]
         scouts.weights = correction / correction.sum()
         scouts.shares = shares
+        # The pace belongs to the robot, wherever it is.
+        weights = self._tracked.weights
+        scouts.pace = self._rng.choice(self._tracked.pace, drawn.size, p=weights / weights.sum())
         return scouts, float((prior * new).sum())
 
     def _scout_prior(self, seen: ViewEvidence) -> Floats:
-        """Return the prior of the keyframes (n,): half near the last certain pose, half uniform."""
+        """Return the prior of the keyframes (n,): a share near the last certain pose, the rest even."""
         prior: Floats = seen.stand_for / (seen.stand_for.sum() * TURNS_DEG.size)
         if self._sure is None:
             return prior
-        drive, pose, way = self._sure
-        reach = self._map.correlation_length * float(os.environ.get('FLOOR','1')) + self._config.slip * way
+        drive, pose, reach = self._sure
         apart = self._map.key_poses[:, :2] - pose[:2]
         distance = np.hypot(*apart.T) / reach
         near = np.exp(-0.5 * np.square(distance)) * (self._map.key_drives == drive)
         near = near[seen.keyframes] / max(float(near.sum()), 1e-12)
-        return np.asarray(0.5 * prior + 0.5 * near / TURNS_DEG.size)
+        share = self._config.near
+        return np.asarray((1.0 - share) * prior + share * near / TURNS_DEG.size)
 
     def _beside(
         self,
@@ -465,8 +464,9 @@ class Filter:
         apart = (tracked.poses - pose)[:, :2]
         variance = float(weights @ (apart**2).sum(axis=1))
         likely = self._odds.tracked * share > self._config.located
-        if likely and math.sqrt(variance) < self._map.correlation_length:
-            self._sure = (drive, pose, 0.0)
+        spread = math.sqrt(variance)
+        if likely and spread < self._map.correlation_length:
+            self._sure = (drive, pose, max(spread, self._spacing))
 
     def _note_seen(self, seen: ViewEvidence, way: float) -> None:
         """Add up the way since a view last supported the tracked place; a robot that looks away adds less."""

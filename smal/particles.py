@@ -22,8 +22,6 @@ class FilterConfig:
     particles: int = 1000
     #: Initial probabilities: at the start of a taught drive, beside any way, lost.
     first: tuple[float, float, float] = (0.5, 0.35, 0.15)
-    #: Scatter of the heading at the start of a drive.
-    first_turn_deg: float = 30.0
     #: Scatter of the start, as time of driving.
     start_s: float = 0.5
     #: Probability, for each new view, that the robot was carried or the filter follows a wrong place. It is larger if
@@ -44,6 +42,8 @@ class FilterConfig:
     blind: float = 2.0
     #: Probability from which scouts are drawn near a place after a jump.
     located: float = 0.9
+    #: Share of the scouts that are drawn there; the others are drawn everywhere.
+    near: float = 0.5
     #: Error of the odometry since then, as a share of the way.
     slip: float = 0.1
 
