@@ -60,6 +60,8 @@ class Belief:
     #: Way since a view last supported the robot's place, in the map's unit.
     unseen: float = 0.0
     camera: CameraState = "sees"
+    #: Sum of the evidence since the start, or since the robot was last lost; at least 0.
+    support: float = math.inf
 
     @property
     def is_lost(self) -> bool:
@@ -111,8 +113,12 @@ class Newness:
     A view is compared with the last view that was counted in full. A moving robot also sees other
     places: half of the correlation of two views comes from the places, which change with the way.
     Therefore many small changes add up to one new view. A view that comes back, or noise while the
-    robot stands, adds none. A turn on the spot changes the view more than its information
-    (`VisualMap.repeated`).
+    robot stands, adds none.
+
+    Attributes
+    ----------
+    kept : float
+        Share of the view before that remains, 0 to 1, without the change by the turn.
     """
 
     def __init__(self, visual_map: VisualMap) -> None:
@@ -120,9 +126,12 @@ class Newness:
         self._counted = self._last = np.zeros(len(visual_map.basis), dtype=np.float32)
         self._used = 0.0
         self._step = np.zeros(3)
+        self._move = np.zeros(3)
+        self.kept = 0.0
 
     def move(self, step: Floats) -> None:
         """Follow the robot by a step: ahead, left, turned (3,)."""
+        self._move = step
         self._step = placed(step, self._step)
 
     def of(self, centred: Float32s) -> float:
@@ -135,15 +144,11 @@ class Newness:
         if like_last < self._map.next_correlation:
             # The earlier views showed another scene.
             self._used = 0.0
+        self.kept = self._without_turn(like_last)
         self._last = centred
-        ahead, left, turned = self._step
-        by_turn = self._map.expected(np.array([0.0, 0.0, turned]))
-        by_way = self._map.expected(np.array([ahead, left, 0.0]))
-        # The change of the view by the turn is predictable; the rest of the change is new.
-        like_counted = correlation(float(centred @ self._counted)) / max(by_turn, 1e-9)
-        like_counted = min(like_counted, 1.0)
-        same = min(like_counted, math.sqrt(like_counted * by_way))
-        same *= self._map.repeated(turned)
+        like_counted = correlation(float(centred @ self._counted))
+        by_place = math.sqrt(like_counted * self._map.expected(self._step))
+        same = min(like_counted, by_place)
         new = (1.0 - same) / (1.0 + same)
         newness = max(new - self._used, 0.0)
         self._used = max(new, self._used)
@@ -152,6 +157,14 @@ class Newness:
             self._used = 0.0
             self._step = np.zeros(3)
         return newness
+
+    def _without_turn(self, like_last: float) -> float:
+        """Return the share of the view before that remains, without the change by the turn."""
+        ahead, left, turned = self._move
+        by_turn = self._map.expected(np.array([0.0, 0.0, turned]))
+        by_way = self._map.expected(np.array([ahead, left, 0.0]))
+        like = min(like_last / max(by_turn, 1e-9), 1.0)
+        return min(like, math.sqrt(like * by_way))
 
 
 class Filter:
@@ -200,6 +213,7 @@ class Filter:
         self._frozen = Frozen(self._map)
         self._started = False
         self._unseen = 0.0
+        self._support = 0.0
         self._camera: CameraState = "sees"
         #: Components of the last new view, and the step since then.
         self._last = np.zeros(self._map.basis.shape[1], dtype=np.float32)
@@ -209,6 +223,7 @@ class Filter:
         if belief is not None:
             self._tracked = self._drawn_from(belief)
             self._odds = _Odds(1.0 - belief.lost, 0.0, 0.0, belief.lost)
+            self._support = belief.support
             self._started = True
 
     def _at_starts(self) -> Particles:
@@ -270,6 +285,8 @@ class Filter:
         if self._started:
             self._jump(seen, movement)
             self._move(movement, noise, seen.newness)
+            for particles in filter(None, (self._tracked, self._jumped)):
+                particles.counted *= self._newness.kept if seen.spread > 0.0 else 1.0
             if self._sure is not None:
                 drive, pose, reach = self._sure
                 reach += self._config.slip * abs(movement.ahead)
@@ -283,7 +300,10 @@ class Filter:
             self._last = seen.components
             self._since = np.zeros(3)
             self._weigh(seen)
+            self._support = max(self._support + self._evidence, 0.0)
             self._note_sure()
+        if self._odds.lost > 0.5:
+            self._support = 0.0
         self._note_seen(seen, abs(movement.ahead))
         return self._belief(seen)
 
@@ -362,15 +382,8 @@ class Filter:
         self._odds = _Odds(tracked - strayed, jumped - others, sent, lost + strayed + others)
 
     def _weigh(self, seen: ViewEvidence) -> None:
-        """Weigh all particles by a view, and send scouts.
-
-        An untaught scene resembles taught places more often than these resemble each other. Therefore the view counts
-        less the further the robot looks away from the taught views.
-        """
+        """Weigh all particles by a view, and send scouts."""
         tracked, jumped, sent, lost = self._odds
-        looks = self._looks_at_taught()
-        counted = looks + (1.0 - looks) * self._config.untaught
-        seen = seen._replace(newness=seen.newness * counted)
         # Scouts take the shares from before this view: a view unlike the tracked place gives no evidence on others.
         shares = self._tracked.shares
         tracked *= self._tracked.update(seen, self._rng)
@@ -416,6 +429,7 @@ class Filter:
         correction = (new / whole).ravel()[drawn]
         scouts.weights = correction / correction.sum()
         scouts.shares = shares
+        scouts.counted[:] = seen.newness
         # The pace belongs to the robot, wherever it is.
         weights = self._tracked.weights
         scouts.pace = self._rng.choice(self._tracked.pace, drawn.size, p=weights / weights.sum())
@@ -492,4 +506,5 @@ class Filter:
             evidence=self._evidence,
             unseen=self._unseen,
             camera=self._camera,
+            support=self._support,
         )
