@@ -144,11 +144,10 @@ class Newness:
         if like_last < self._map.next_correlation:
             # The earlier views showed another scene.
             self._used = 0.0
-        self.kept = self._without_turn(like_last)
+        self.kept = self._without_turn(like_last, self._move)
         self._last = centred
         like_counted = correlation(float(centred @ self._counted))
-        by_place = math.sqrt(like_counted * self._map.expected(self._step))
-        same = min(like_counted, by_place)
+        same = self._without_turn(like_counted, self._step) * self._map.repeated(self._step[2])
         new = (1.0 - same) / (1.0 + same)
         newness = max(new - self._used, 0.0)
         self._used = max(new, self._used)
@@ -158,12 +157,12 @@ class Newness:
             self._step = np.zeros(3)
         return newness
 
-    def _without_turn(self, like_last: float) -> float:
-        """Return the share of the view before that remains, without the change by the turn."""
-        ahead, left, turned = self._move
+    def _without_turn(self, like: float, step: Floats) -> float:
+        """Return the correlation of two views, a step apart, without the change by the turn."""
+        ahead, left, turned = step
         by_turn = self._map.expected(np.array([0.0, 0.0, turned]))
         by_way = self._map.expected(np.array([ahead, left, 0.0]))
-        like = min(like_last / max(by_turn, 1e-9), 1.0)
+        like = min(like / max(by_turn, 1e-9), 1.0)
         return min(like, math.sqrt(like * by_way))
 
 
