@@ -35,6 +35,9 @@ class FilterConfig:
     light: float = 0.02
     #: Scatter of the heading at every new view: cameras shake.
     jitter_deg: float = 1.0
+    #: Maximum number of views of one spot that count: the first view, and one for all turned views.
+    #: In untaught scenes, places that look alike stay alike over most of a turn.
+    spot: float = 2.0
     #: Way without a view after which the odometry has half its confidence.
     blind: float = 2.0
     #: Probability from which scouts are drawn near a place after a jump.
@@ -104,7 +107,7 @@ class Particles:
         self.weights = np.full(count, 1.0 / count)
         #: Standard deviations by which the robot is faster than reported.
         self.pace = np.zeros(count)
-        #: Views of this spot that have counted, 0 to 1.
+        #: Number of views of this spot that have counted.
         self.counted = np.zeros(count)
         #: Probability of each visible share (`smal.likelihood.SHARES`) in the next view.
         hidden = visual_map.config.hidden
@@ -180,8 +183,8 @@ class Particles:
     def update(self, seen: ViewEvidence, rng: np.random.Generator) -> float:
         """Weigh by a view; return its mean likelihood ratio here to elsewhere.
 
-        What resembles a place goes on resembling it while the robot turns. Therefore all views of
-        one spot that look at taught views count as one view.
+        What resembles a place goes on resembling it while the robot turns. Therefore the views of
+        one spot that look at taught views count only up to a limit (`FilterConfig.spot`).
         """
         found, beyond = self.interpolated(seen.components)
         z = seen.stands_out(found)
@@ -194,7 +197,7 @@ class Particles:
         log_ratio *= looks
         shown = self.shares[1:] / self.shares[1:].sum()
         self.speaks = float(shown @ np.exp(log_ratio[1:]) @ self.weights)
-        newness = np.minimum(seen.newness, 1.0 - self.counted)
+        newness = np.clip(self._config.spot - self.counted, 0.0, seen.newness)
         self.counted += newness * looks
         joint = self.shares[:, None] * np.exp(newness * log_ratio) * self.weights
         total = float(joint.sum())
