@@ -60,6 +60,8 @@ class Belief:
     #: Way since a view last supported the robot's place, in the map's unit.
     unseen: float = 0.0
     camera: CameraState = "sees"
+    #: Sum of the evidence since the start, or since the robot was last lost; at least 0.
+    support: float = math.inf
 
     @property
     def is_lost(self) -> bool:
@@ -112,9 +114,15 @@ class _Odds(NamedTuple):
 class Newness:
     """How new a view is, 0 to 1: the part of its information that earlier views did not contain.
 
-    A view is compared with the last view that was counted in full. A moving robot also sees other places: half of the
-    correlation of two views comes from the places, which change with the way. Therefore many small changes add up to
-    one new view. A view that comes back, or noise while the robot stands, adds none.
+    A view is compared with the last view that was counted in full. A moving robot also sees other
+    places: half of the correlation of two views comes from the places, which change with the way.
+    Therefore many small changes add up to one new view. A view that comes back, or noise while the
+    robot stands, adds none.
+
+    Attributes
+    ----------
+    kept : float
+        Share of the view before that remains, 0 to 1, without the change by the turn.
     """
 
     def __init__(self, visual_map: VisualMap) -> None:
@@ -122,9 +130,12 @@ class Newness:
         self._counted = self._last = np.zeros(len(visual_map.basis), dtype=np.float32)
         self._used = 0.0
         self._step = np.zeros(3)
+        self._move = np.zeros(3)
+        self.kept = 0.0
 
     def move(self, step: Floats) -> None:
         """Follow the robot by a step: ahead, left, turned (3,)."""
+        self._move = step
         self._step = placed(step, self._step)
 
     def of(self, centred: Float32s) -> float:
@@ -137,10 +148,10 @@ class Newness:
         if like_last < self._map.next_correlation:
             # The earlier views showed another scene.
             self._used = 0.0
+        self.kept = self._without_turn(like_last, self._move)
         self._last = centred
         like_counted = correlation(float(centred @ self._counted))
-        by_place = math.sqrt(like_counted * self._map.expected(self._step))
-        same = min(like_counted, by_place)
+        same = self._without_turn(like_counted, self._step) * self._map.repeated(self._step[2])
         new = (1.0 - same) / (1.0 + same)
         newness = max(new - self._used, 0.0)
         self._used = max(new, self._used)
@@ -149,6 +160,14 @@ class Newness:
             self._used = 0.0
             self._step = np.zeros(3)
         return newness
+
+    def _without_turn(self, like: float, step: Floats) -> float:
+        """Return the correlation of two views, a step apart, without the change by the turn."""
+        ahead, left, turned = step
+        by_turn = self._map.expected(np.array([0.0, 0.0, turned]))
+        by_way = self._map.expected(np.array([ahead, left, 0.0]))
+        like = min(like / max(by_turn, 1e-9), 1.0)
+        return min(like, math.sqrt(like * by_way))
 
 
 class Filter:
@@ -175,6 +194,7 @@ class Filter:
         self._config = config
         self._centering = centering
         self._seed = seed
+        self._spacing = visual_map.correlation_length / visual_map.config.views_a_length
         # Cached properties are computed here, so that the first frame does not wait.
         _ = visual_map.neighbour_cosines, visual_map.sample, visual_map.overview
         self.reset()
@@ -196,15 +216,17 @@ class Filter:
         self._frozen = Frozen(self._map)
         self._started = False
         self._unseen = 0.0
+        self._support = 0.0
         self._camera: CameraState = "sees"
         #: Components of the last new view, and the step since then.
         self._last = np.zeros(self._map.basis.shape[1], dtype=np.float32)
         self._since = np.zeros(3)
-        #: Drive and pose of the last certain position, moved on by the odometry, and the way since.
+        #: Drive and pose of the last certain position, moved on by the odometry, and its error.
         self._sure: tuple[int, Floats, float] | None = None
         if belief is not None:
             self._tracked = self._drawn_from(belief)
             self._odds = _Odds(1.0 - belief.lost, 0.0, 0.0, belief.lost)
+            self._support = belief.support
             self._started = True
 
     def _at_starts(self) -> Particles:
@@ -213,15 +235,14 @@ class Filter:
         keyframes = self._rng.choice(starts, self._config.particles)
         aside = max(self._map.aside, self._config.start_s * self._map.speed)
         straight = np.zeros(keyframes.size)
-        return self._beside(keyframes, straight, aside, self._config.first_turn_deg)
+        return self._beside(keyframes, straight, aside, 180.0)
 
     def _drawn_from(self, belief: Belief) -> Particles:
         """Scatter particles about the places of a belief, by their weights."""
         which = systematic(belief.weights, self._config.particles, self._rng)
         keyframes = belief.keyframes[which]
-        spacing = self._map.correlation_length / self._map.config.views_a_length
         straight = np.zeros(which.size)
-        particles = self._beside(keyframes, straight, spacing / 2.0, STEP_DEG / 2.0)
+        particles = self._beside(keyframes, straight, self._spacing / 2.0, STEP_DEG / 2.0)
         key_poses = self._map.key_poses[keyframes]
         particles.poses += placed(belief.offsets[which], key_poses) - key_poses
         particles.tracked += belief.tracked
@@ -267,9 +288,12 @@ class Filter:
         if self._started:
             self._jump(seen, movement)
             self._move(movement, noise, seen.newness)
+            for particles in filter(None, (self._tracked, self._jumped)):
+                particles.counted *= self._newness.kept if seen.spread > 0.0 else 1.0
             if self._sure is not None:
-                drive, pose, way = self._sure
-                self._sure = drive, placed(step, pose), way + abs(movement.ahead)
+                drive, pose, reach = self._sure
+                reach += self._config.slip * abs(movement.ahead)
+                self._sure = drive, placed(step, pose), reach
         # A probability of 0 never recovers.
         tracked = max(self._odds.tracked, 1e-12)
         self._odds = self._odds._replace(tracked=tracked)
@@ -279,7 +303,10 @@ class Filter:
             self._last = seen.components
             self._since = np.zeros(3)
             self._weigh(seen)
+            self._support = max(self._support + self._evidence, 0.0)
             self._note_sure()
+        if self._odds.lost > 0.5:
+            self._support = 0.0
         self._note_seen(seen, abs(movement.ahead))
         return self._belief(seen)
 
@@ -358,15 +385,8 @@ class Filter:
         self._odds = _Odds(tracked - strayed, jumped - others, sent, lost + strayed + others)
 
     def _weigh(self, seen: ViewEvidence) -> None:
-        """Weigh all particles by a view, and send scouts.
-
-        An untaught scene resembles taught places more often than these resemble each other. Therefore the view counts
-        less the further the robot looks away from the taught views.
-        """
+        """Weigh all particles by a view, and send scouts."""
         tracked, jumped, sent, lost = self._odds
-        looks = self._looks_at_taught()
-        counted = looks + (1.0 - looks) * self._config.untaught
-        seen = seen._replace(newness=seen.newness * counted)
         # Scouts take the shares from before this view: a view unlike the tracked place gives no evidence on others.
         shares = self._tracked.shares
         tracked *= self._tracked.update(seen, self._rng)
@@ -412,20 +432,24 @@ class Filter:
         correction = (new / whole).ravel()[drawn]
         scouts.weights = correction / correction.sum()
         scouts.shares = shares
+        scouts.counted[:] = seen.newness
+        # The pace belongs to the robot, wherever it is.
+        weights = self._tracked.weights
+        scouts.pace = self._rng.choice(self._tracked.pace, drawn.size, p=weights / weights.sum())
         return scouts, float((prior * new).sum())
 
     def _scout_prior(self, seen: ViewEvidence) -> Floats:
-        """Return the prior of the keyframes (n,): half near the last certain pose, half uniform."""
+        """Return the prior of the keyframes (n,): a share near the last certain pose, the rest even."""
         prior: Floats = seen.stand_for / (seen.stand_for.sum() * TURNS_DEG.size)
         if self._sure is None:
             return prior
-        drive, pose, way = self._sure
-        reach = self._map.correlation_length + self._config.slip * way
+        drive, pose, reach = self._sure
         apart = self._map.key_poses[:, :2] - pose[:2]
         distance = np.hypot(*apart.T) / reach
         near = np.exp(-0.5 * np.square(distance)) * (self._map.key_drives == drive)
         near = near[seen.keyframes] / max(float(near.sum()), 1e-12)
-        return np.asarray(0.5 * prior + 0.5 * near / TURNS_DEG.size)
+        share = self._config.near
+        return np.asarray((1.0 - share) * prior + share * near / TURNS_DEG.size)
 
     def _beside(
         self,
@@ -457,8 +481,9 @@ class Filter:
         apart = (tracked.poses - pose)[:, :2]
         variance = float(weights @ (apart**2).sum(axis=1))
         likely = self._odds.tracked * share > self._config.located
-        if likely and math.sqrt(variance) < self._map.correlation_length:
-            self._sure = (drive, pose, 0.0)
+        spread = math.sqrt(variance)
+        if likely and spread < self._map.correlation_length:
+            self._sure = (drive, pose, max(spread, self._spacing))
 
     def _note_seen(self, seen: ViewEvidence, way: float) -> None:
         """Add up the way since a view last supported the tracked place; a robot that looks away adds less."""
@@ -484,4 +509,5 @@ class Filter:
             evidence=self._evidence,
             unseen=self._unseen,
             camera=self._camera,
+            support=self._support,
         )

@@ -22,7 +22,7 @@ from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG
 from smal.files.packed import BATCH, unit, unpacked
 from smal.files.stored import Content
 from smal.keyframes import MAP_CONFIG, MapConfig, without_detours
-from smal.likelihood import GRID, SHARES, Likelihood, evenly
+from smal.likelihood import GRID, SHARES, Likelihood, evenly, standing_out
 from smal.movement import Atom, Movement, placed, seen_from
 
 _T = TypeVar("_T", bound=np.floating[Any])
@@ -214,6 +214,27 @@ class VisualMap:
         return rows, keys[rows] // step
 
     @cached_property
+    def _repeats_rad(self) -> float:
+        """Turn after which z values at other places correlate by 1 / e, measured on virtual views.
+
+        Without different places, views repeat until they no longer overlap.
+        """
+        keys = self.reference
+        poses = self.key_poses[keys]
+        drives = self.key_drives[keys]
+        apart = np.hypot(*np.moveaxis(poses[:, None, :2] - poses[:, :2], -1, 0))
+        far = apart > self.config.elsewhere * self.correlation_length
+        far |= drives[:, None] != drives
+        z = []
+        for turn in (STRAIGHT, -1):
+            views = unpacked(self.views[keys, 1, turn])
+            z.append(np.stack([standing_out(views @ view, self.sample @ view) for view in views])[far])
+        if far.sum() < 3 or min(np.ptp(values) for values in z) == 0.0:
+            return math.radians(float(self.scene[0]) / 2.0)
+        correlation = float(np.clip(np.corrcoef(z)[0, 1], 0.01, 0.99))
+        return -math.radians(float(TURNS_DEG[-1])) / math.log(correlation)
+
+    @cached_property
     def likelihood(self) -> Likelihood:
         """Likelihood of views at places."""
         return Likelihood(self.log_ratio, self.gamma)
@@ -283,6 +304,13 @@ class VisualMap:
         by_way = way * math.log(self.next_correlation)
         by_turn = turn * self.gamma * math.log(2.0)
         return math.exp(-math.hypot(by_way, by_turn))
+
+    def repeated(self, turn_rad: float) -> float:
+        """Return the correlation of the z values at other places before and after a turn, 0 to 1.
+
+        A turn changes views fast. But the same scene moves through them, and what resembles a place in it remains.
+        """
+        return math.exp(-abs(math.remainder(turn_rad, math.tau)) / self._repeats_rad)
 
     def described(self, centred: Float32s) -> Float32s:
         """Return the components of a frame (m,), of unit length, or zero for a blank frame, (r,)."""

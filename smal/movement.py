@@ -65,8 +65,9 @@ class MotionNoise(NamedTuple):
     drift_deg: float = 1.5
 
 
-#: Wheels slip a little, and the odometry of two robots differs by a twentieth.
-BY_ODOMETRY: Final = MotionNoise(ahead=0.05, turn=0.03, pace=0.05)
+#: Wheels slip a little, and the odometry of two robots differs by a twentieth. A wheel keeps its size:
+#: what a drive shows of the pace remains true on the whole drive.
+BY_ODOMETRY: Final = MotionNoise(ahead=0.05, turn=0.03, pace=0.05, pace_lengths=100.0)
 #: Only the usual movement of an atom is known. Another drive is half or twice as fast (one standard
 #: deviation). Within a correlation length or a radian, the robot stops or moves twice as far (two
 #: standard deviations).

@@ -44,6 +44,8 @@ class Situation:
         Probability of being near the goal; and whether the robot is probably at the end of the way.
     unseen
         Whether the robot has driven too far without a view that supports its place.
+    supported
+        Whether the views since the robot was lost are decisive evidence for its place.
     """
 
     belief: Belief
@@ -62,6 +64,7 @@ class Situation:
     at_goal: float
     at_end: bool
     unseen: bool
+    supported: bool = True
 
     @property
     def lost(self) -> bool:
@@ -340,7 +343,7 @@ class Follow(Behaviour):
 
     def propose(self, now: Situation) -> Intent | None:
         """Drive, unless the robot must look around first."""
-        doubts = now.at_end or self._wait.in_vain
+        doubts = now.at_end or self._wait.in_vain or not now.supported
         goes = now.clear and not now.unseen and (self._look.done or not doubts)
         return now.drive("follow") if goes else None
 

@@ -196,4 +196,5 @@ class Planner:
             at_goal=float(belief.weights @ near_goal),
             at_end=float(belief.weights @ at_end) > 0.5,
             unseen=belief.unseen > self._config.blind_s * taught.speed,
+            supported=belief.support >= math.log(self._config.decisive),
         )

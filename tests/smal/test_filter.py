@@ -16,6 +16,7 @@ from smal.filter import Belief, Filter
 from smal.map import VisualMap
 from smal.movement import BY_ATOMS, STILL, Movement, placed
 from smal.particles import Particles
+from smal.planning.config import PLANNER_CONFIG
 from tests.smal.synthetic_world import (
     COLOR,
     COLUMNS,
@@ -347,3 +348,18 @@ def test_place_is_found_when_few_candidates_are_compared(to: int) -> None:
 @pytest.mark.parametrize("start", [25, 75])
 def test_a_robot_that_is_switched_on_anywhere_is_found(start: int) -> None:
     arrives(start, Filter(*usual_map()), 2.0)
+
+
+@pytest.mark.parametrize("turn_deg", [90.0, 135.0, 180.0, 225.0])
+def test_robot_is_located_when_it_began_turned_and_turns(turn_deg: float) -> None:
+    x, y, heading = drive().poses[0]
+    angles = np.radians(np.arange(turn_deg, 361.0, 4.0))
+    poses = np.column_stack([np.full((angles.size, 2), (x, y)), heading + angles])
+    beliefs = follow(Drive(poses, np.zeros(angles.size, dtype=np.int8)))
+    away = angles < math.radians(300.0)
+    sure = [belief.support > math.log(PLANNER_CONFIG.decisive) for belief in beliefs]
+    assert not np.any(np.array(sure)[away])
+    metres, degrees = off(beliefs[-1], poses[-1])
+    assert metres < 0.3
+    assert degrees < 10.0
+    assert beliefs[-1].lost < 0.1
