@@ -154,7 +154,7 @@ def test_gate_stops_at_once_while_its_guard_is_busy() -> None:
 
 def test_driven_way_is_no_longer_free() -> None:
     here = (0.0, 0.0, 0.0)
-    wall = (1.15, -6.0, 1.6, 6.0, 2.0)
+    wall = (1.2, -6.0, 1.6, 6.0, 2.0)
     made = guard()
     made.look(depth([wall], here), here, 0.0)
     shares = [made.share(KEYS["forward"], 0.02 * k) for k in range(13)]
@@ -164,7 +164,7 @@ def test_driven_way_is_no_longer_free() -> None:
 @pytest.mark.parametrize(("source", "goes"), [("teleop", INSISTED), ("policy", 0.0)])
 def test_only_an_insisting_person_goes_on_before_an_obstacle(source: str, goes: float) -> None:
     here = (0.0, 0.0, 0.0)
-    wall = (0.5, -6.0, 1.6, 6.0, 2.0)
+    wall = (0.55, -6.0, 1.6, 6.0, 2.0)
     gate = CommandGate(first_stop=1)
     gate.guard = guard()
     assert gate.arm(1, "") is None
