@@ -72,10 +72,9 @@ def rays(shape: tuple[int, ...], every: int, focal: float) -> tuple[Floats, Floa
     focal : float
         As in `Mount`.
     """
-    below, across = (
-        (np.arange(every // 2, size, every) + 0.5 - size / 2) / (focal * shape[1]) for size in shape
-    )
-    return below, -across
+    focal_px = focal * shape[1]
+    rows, columns = (np.arange(every // 2, size, every) + 0.5 - size / 2 for size in shape)
+    return np.asarray(rows / focal_px), np.asarray(-columns / focal_px)
 
 
 def scan(depth_m: Float32s, mount: Mount, config: GridConfig = GRID_CONFIG) -> Scan | None:
@@ -156,7 +155,7 @@ class Surroundings:
         Size of a cell, and reach of the grid.
     body_m
         Distance that the robot keeps from the middle of an occupied cell. The obstacle fills half
-        of the cell.
+        of the cell; the other half is for wheels that slip.
     heading, moved_m
         Heading by the odometry, and distance of the last move.
     seen
@@ -168,7 +167,7 @@ class Surroundings:
         self.radius_m = radius_m
         self.cell_m = radius_m / config.cells_radius
         self.reach_m = config.reach * radius_m
-        self.body_m = radius_m + self.cell_m / 2.0
+        self.body_m = radius_m + self.cell_m
         self._half = config.cells_radius * config.reach
         offsets = np.arange(-self._half, self._half + 1) * self.cell_m
         #: Offset of each cell's middle from the middle of the robot's cell.

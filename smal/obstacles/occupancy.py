@@ -92,12 +92,12 @@ class Occupancy:
     @property
     def occupied(self) -> Bools:
         """Cells with an obstacle."""
-        return self._log_odds > 0.0
+        return np.asarray(self._log_odds > 0.0)
 
     @property
     def unknown(self) -> Bools:
         """Cells that were never seen."""
-        return self._log_odds == 0.0
+        return np.asarray(self._log_odds == 0.0)
 
     @property
     def come(self) -> Bools:
