@@ -226,7 +226,9 @@ class VisualMap:
         z = []
         for turn in (STRAIGHT, -1):
             views = unpacked(self.views[keys, 1, turn])
-            z.append(np.stack([standing_out(views @ view, self.sample @ view) for view in views])[far])
+            z.append(
+                np.stack([standing_out(views @ view, self.sample @ view) for view in views])[far]
+            )
         if far.sum() < 3 or min(np.ptp(values) for values in z) == 0.0:
             return math.radians(float(self.scene[0]) / 2.0)
         correlation = float(np.clip(np.corrcoef(z)[0, 1], 0.01, 0.99))
