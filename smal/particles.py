@@ -35,9 +35,9 @@ class FilterConfig:
     light: float = 0.02
     #: Scatter of the heading at every new view: cameras shake.
     jitter_deg: float = 1.0
-    #: Maximum number of views of one spot that count: the first view, and one for all turned views.
+    #: Maximum number of views of one spot that count: the first view, and half a view for all turned views.
     #: In untaught scenes, places that look alike stay alike over most of a turn.
-    spot: float = 2.0
+    spot: float = 1.5
     #: Way without a view after which the odometry has half its confidence.
     blind: float = 2.0
     #: Probability from which scouts are drawn near a place after a jump.

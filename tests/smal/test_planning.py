@@ -108,6 +108,15 @@ def test_robot_turns_back_when_it_is_turned_or_aside(
     assert math.degrees(decision.heading_rad) == pytest.approx(aim, abs=6.0)
 
 
+def test_robot_looks_around_when_evidence_is_not_decisive() -> None:
+    faint = replace(belief((10, 0.0, 0.0, 0.0)), support=1.0)
+    planner = Planner(STRAIGHT)
+    decisions = [planner.decide(faint) for _ in range(10)]
+    assert {decision.kind for decision in decisions} == {"look_around"}
+    assert {decision.motion[0] for decision in decisions} == {0.0}
+    assert planner.decide(replace(faint, support=10.0)).kind == "follow"
+
+
 def test_robot_stops_for_good_when_it_is_at_the_end() -> None:
     planner = Planner(STRAIGHT)
     end = len(STRAIGHT.keyframes) - 1
