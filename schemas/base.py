@@ -31,6 +31,8 @@ SessionId = Annotated[
 Tick = Annotated[
     int, Field(ge=0, le=MAX_TICK, description="Number of the camera frame in the episode, from 0.")
 ]
+# Time between two camera frames, seconds (10 Hz).
+TICK_S: Final = 0.1
 Atom = Literal["forward", "backward", "left", "right", "stop"]
 Source = Literal["emergency_stop", "teleop", "expert", "policy"]
 ATOMS: Final[tuple[Atom, ...]] = get_args(Atom)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
 from schemas.action import Action
-from schemas.base import ROBOT_ID_PATTERN, SOURCES, Message
+from schemas.base import ROBOT_ID_PATTERN, SOURCES, TICK_S, Message
 from schemas.camera import CameraInfo, CompressedImage, DepthImage, OverheadImage
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode
@@ -24,6 +24,7 @@ ROOT: Final = "smal"
 #: Minimum time that a sender keeps recorded messages, so that a recorder can fetch them after an
 #: outage.
 KEPT_S: Final = 30.0
+_FRAME_HZ: Final = round(1.0 / TICK_S)
 #: Messages of one lane never wait for those of another: no image delays a command, and emergency
 #: stops have a lane of their own. Lanes other than "ordinary" send at once.
 Lane = Literal["ordinary", "urgent", "stop"]
@@ -55,8 +56,8 @@ class Topic:
 
     @property
     def kept(self) -> int:
-        """Number of messages that a sender keeps: 1.5 times the nominal rate (10 Hz for events)."""
-        return math.ceil(1.5 * KEPT_S * (self.rate_hz or 10))
+        """Number of messages that a sender keeps: 1.5 times the nominal rate (events: of frames)."""
+        return math.ceil(1.5 * KEPT_S * (self.rate_hz or _FRAME_HZ))
 
     @property
     def meaning(self) -> str:
@@ -64,17 +65,17 @@ class Topic:
         return (self.message.__doc__ or "").strip().splitlines()[0]
 
 
-JPEG: Final = Topic("camera/jpeg", CompressedImage, 10, 8, True)
+JPEG: Final = Topic("camera/jpeg", CompressedImage, _FRAME_HZ, 8, True)
 CAMERA_INFO: Final = Topic("camera/info", CameraInfo, None, 8, True)
-DEPTH: Final = Topic("camera/depth", DepthImage, 10, 1, False)
-OVERHEAD: Final = Topic("camera/overhead", OverheadImage, 10, 1, False)
-ODOMETRY: Final = Topic("odometry", Odometry, 10, 8, True)
-IMU: Final = Topic("imu", Imu, 10, 8, True)
-POSE: Final = Topic("pose/truth", TruePose, 10, 8, True)
-TRACKED: Final = Topic("pose/tracked", TrackedPose, 10, 8, True)
+DEPTH: Final = Topic("camera/depth", DepthImage, _FRAME_HZ, 1, False)
+OVERHEAD: Final = Topic("camera/overhead", OverheadImage, _FRAME_HZ, 1, False)
+ODOMETRY: Final = Topic("odometry", Odometry, _FRAME_HZ, 8, True)
+IMU: Final = Topic("imu", Imu, _FRAME_HZ, 8, True)
+POSE: Final = Topic("pose/truth", TruePose, _FRAME_HZ, 8, True)
+TRACKED: Final = Topic("pose/tracked", TrackedPose, _FRAME_HZ, 8, True)
 #: Not recorded: a vector is larger than its image, from which learning computes it again.
-OBSERVATION: Final = Topic("observation", Observation, 10, 8, False)
-STATE: Final = Topic("state", State, 10, 8, True)
+OBSERVATION: Final = Topic("observation", Observation, _FRAME_HZ, 8, False)
+STATE: Final = Topic("state", State, _FRAME_HZ, 8, True)
 MAP: Final = Topic("map", TaughtMap, None, 8, True)
 #: Snapshots by which instances of a service pass on robots; see `services.kit.group`.
 SNAPSHOTS: Final = {
@@ -86,15 +87,15 @@ COMMANDS: Final = {
     source: Topic(
         f"command/{source}",
         Command,
-        rate_hz=None if source == "emergency_stop" else 10,
+        rate_hz=None if source == "emergency_stop" else _FRAME_HZ,
         queue=8,
         recorded=True,
         lane="stop" if source == "emergency_stop" else "urgent",
     )
     for source in SOURCES
 }
-APPLIED: Final = Topic("command/applied", CommandApplied, 10, 8, True, lane="urgent")
-#: 20 Hz, so that two can be lost; see `services.robot.gate.OPERATOR_S`. Operators answer the newest.
+APPLIED: Final = Topic("command/applied", CommandApplied, _FRAME_HZ, 8, True, lane="urgent")
+#: 20 Hz, so that two can be lost; see `services.robot.clock.ABSENT_S`. Operators answer the newest.
 PULSE: Final = Topic("pulse", Pulse, 20, 1, False, lane="urgent")
 #: One heartbeat answers each pulse. It leaves its sender by the link of emergency stops: a robot
 #: must miss an operator who cannot stop it. The robot receives it by another link than stops, which

@@ -7,6 +7,7 @@ from typing import Annotated, cast
 import typer
 from typer import Argument, Option
 
+from schemas.base import TICK_S
 from services.cli import outputs
 from services.experiments.progress import bar_of
 from services.experiments.words import remark
@@ -71,7 +72,7 @@ def export_recordings(
 def _lines(form: Format, drives: list[ExportedDrive], out: Path) -> Iterator[str]:
     frames = sum(drive.frames for drive in drives)
     yield f"drives        {len(drives)} ({sum(drive.success for drive in drives)} reached their goal)"
-    yield f"frames        {frames} ({frames / 10:.0f} s)"
+    yield f"frames        {frames} ({frames * TICK_S:.0f} s)"
     for robot, nominal in {drive.robot: drive.nominal for drive in drives}.items():
         speed = nominal.speed
         turn_rate = nominal.turn_rate

@@ -10,7 +10,7 @@ from typing import Annotated, Final
 import typer
 from typer import Argument, Option
 
-from schemas.base import STILL, TURNING
+from schemas.base import STILL, TICK_S, TURNING
 from schemas.codec import printable
 from services.cli import options, outputs
 from services.experiments.progress import Bars
@@ -173,7 +173,7 @@ def _lines(report: ImportReport, job: ImportJob, files: list[Path], out: Path) -
         f"{name} {count / report.ticks:.0%}" for name, count in report.atoms.items() if count
     )
     yield f"drives        {len(files)} ({report.successes} reached {job.goal})"
-    yield f"frames        {report.ticks} ({report.ticks / 10:.0f} s)"
+    yield f"frames        {report.ticks} ({report.ticks * TICK_S:.0f} s)"
     yield f"nominal       {report.speed:.3g} {units[0]}, {report.turn_rate:.3g} {units[1]}"
     yield (
         f"stands        below {job.still:g} of both; turns above {job.turning:g} of the turn rate"

@@ -12,6 +12,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final, cast
 
+from schemas.base import TICK_S
 from schemas.codec import printable
 from schemas.topics import APPLIED, JPEG
 from services.kit.jpeg import encode_jpeg, shrunk
@@ -20,7 +21,6 @@ from services.recordings.encoding import decode_image
 from services.recordings.reader import read_recording
 from services.recordings.recorded import RecordedEpisode
 from services.recordings.stream import RecordingError
-from services.robot.clock import TICK_S
 
 # Number of pictures along a drive, and their width; six fill a row of the list.
 THUMBNAILS = 6

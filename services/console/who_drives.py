@@ -14,7 +14,7 @@ from services.robot.clock import PULSE_S, now_s
 
 BEAT_S: Final = PULSE_S  # Beat interval, equal to the operator's pulse.
 # Validity of an answer after its beat was sent; then held keys count as released.
-LET_GO_S: Final = 0.25
+LET_GO_S: Final = 5 * BEAT_S
 #: Silence after which another browser can take the seat, and after which an unattended robot misses
 #: its driver. Requests expire as well, since the seat can change.
 LEASE_S: Final = 1.0

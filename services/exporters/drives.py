@@ -9,13 +9,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from schemas.base import Atom
+from schemas.base import TICK_S, Atom
 from schemas.command import CommandApplied
 from schemas.motion import Imu, Odometry
 from schemas.topics import IMU
 from services.importers.drive import Tally
 from services.importers.job import Format
-from services.importers.ticks import TICK_S
 from services.kit.cameras import camera_of
 from services.kit.errors import JobError
 from services.kit.jpeg import is_jpeg

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.base import TICK_S
 from schemas.motion import Odometry
 from services.exporters.drives import ExportedDrive, Moment, say_view
 from services.importers.drive import Tally
@@ -28,7 +29,6 @@ from services.importers.lerobot import (
     VELOCITIES,
     VIDEO,
 )
-from services.importers.ticks import TICK_S
 from services.kit.errors import JobError
 from services.kit.jpeg import decode_jpeg
 

@@ -11,12 +11,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from schemas.base import TICK_S
 from schemas.camera import CameraInfo
 from schemas.motion import Imu, Odometry
 from services.exporters.drives import ExportedDrive
 from services.importers import rosbag2 as names
 from services.importers.drive import Tally
-from services.importers.ticks import TICK_S
 from services.kit.errors import JobError
 from services.kit.ros_message import ros_message
 

@@ -10,14 +10,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from schemas.base import Message
+from schemas.base import TICK_S, Message
 from schemas.camera import CompressedImage
 from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.motion import Odometry
 from services.importers.drive import Array, ImportedDrive, ImportFailure, NotAnImage, Tally
 from services.importers.job import ImportJob
-from services.importers.ticks import TICK_S, Moves, Nominal, Ticks, odometry, shares_of, ticks
+from services.importers.ticks import Moves, Nominal, Ticks, odometry, shares_of, ticks
 from services.kit.cameras import camera_info
 from services.kit.jpeg import jpeg_size
 from services.recordings.writer import EpisodeWriter

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.base import MAX_TICK, Velocity
+from schemas.base import MAX_TICK, TICK_S, Velocity
 from services.importers.drive import (
     FASTEST_M_S,
     LATEST_S,
@@ -25,7 +25,6 @@ from services.importers.drive import (
 )
 from smal.movement import seen_from
 
-TICK_S: Final = 0.1  # Time between two ticks of the stack and of learning.
 #: Command timeout of a base: as in ROS drivers, twice the timeout of our gate.
 HOLD_S: Final = 0.5
 #: Largest distance of a tick from its frame; below 4 Hz too little of the route is visible.

@@ -12,7 +12,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 from schemas import topics
-from schemas.base import NO_EPISODE, Atom, Source, Strict, Velocity
+from schemas.base import NO_EPISODE, TICK_S, Atom, Source, Strict, Velocity
 from schemas.command import CommandApplied, StopCause
 from schemas.episode import Box, Episode, Outcome, Purpose, Said, in_words
 from schemas.heartbeat import Heartbeat, Pulse
@@ -55,7 +55,7 @@ _APPLIED: Final = (
 _PULSES: Final = 16
 #: Period of a repeated emergency stop until the robot reports it; equal to the robot's report
 #: period.
-REPEAT_S: Final = 0.1
+REPEAT_S: Final = TICK_S
 
 
 @dataclass(frozen=True)

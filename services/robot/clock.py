@@ -1,13 +1,17 @@
-"""The actuator's clock, the tick, and the pulse."""
+"""The actuator's clock, the pulse, and the timeouts of silent senders."""
 
 import time
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-# Time between two camera frames, seconds (10 Hz).
-TICK_S: Final = 0.1
 # Time between two pulses, which the robot's operator answers, seconds.
 PULSE_S: Final = 0.05
+#: Time since its arrival at which a command expires, seconds. The robot must stand 0.5 s after the
+#: last command; the rest is for braking, see `services.robot.loop`.
+SILENCE_S: Final = 0.25
+#: Age of the last answered pulse or echo at which its sender counts as absent, seconds. Of this
+#: time the round trip of an answer has what one pulse leaves, 0.2 s.
+ABSENT_S: Final = 5 * PULSE_S
 
 
 class Clocks(NamedTuple):

@@ -18,19 +18,14 @@ from schemas.base import STANDING, Source, Velocity
 from schemas.command import Command, Reason, StopCause
 from schemas.heartbeat import Heartbeat
 from services.robot.body import Kinematics
+from services.robot.clock import ABSENT_S, SILENCE_S
 from services.robot.guard import Guard
 from services.robot.wheels import WheelCheck
 
-#: Time since its arrival at which a command expires, seconds. The robot must stand 0.5 s after the
-#: last command; the rest is for braking, see `services.robot.loop`.
-SILENCE_S: Final = 0.25
 #: Age at which a command expires, seconds since the capture of its frame, unless the robot's
 #: settings allow more. On one machine, where answers are immediate, silence thus counts from the
 #: last answered frame.
 MAX_AGE_S: Final = SILENCE_S
-#: Age of the last answered pulse at which the operator is lost, seconds: five pulses. Of this time
-#: the round trip of an answer has what one pulse leaves, 0.2 s.
-OPERATOR_S: Final = 0.25
 #: Silence after which another process of the same source can command, seconds; the restart of a
 #: killed process takes longer.
 LEASE_S: Final = 1.0
@@ -180,7 +175,7 @@ class CommandGate:
         with self._lock:
             self._pulse += 1
             self._pulsed_s = {
-                number: at for number, at in self._pulsed_s.items() if now_s - at <= OPERATOR_S
+                number: at for number, at in self._pulsed_s.items() if now_s - at <= ABSENT_S
             }
             self._pulsed_s[self._pulse] = now_s
             return self._pulse
@@ -190,7 +185,7 @@ class CommandGate:
         with self._lock:
             answered_s = self._pulsed_s.get(beat.answers, -math.inf)
             last = self._operator
-            if now_s - answered_s > OPERATOR_S:
+            if now_s - answered_s > ABSENT_S:
                 theirs = False
             elif last is not None and beat.session == last.session:
                 theirs = beat.sequence > last.sequence
@@ -206,10 +201,10 @@ class CommandGate:
                     self._latch("operator_lost")
 
     def watch(self, now_s: float) -> None:
-        """Latch a stop if the operator has answered no pulse for `OPERATOR_S`."""
+        """Latch a stop if the operator has answered no pulse for `ABSENT_S`."""
         with self._lock:
             last = self._operator
-            if last is not None and last.there and now_s - last.answered_s > OPERATOR_S:
+            if last is not None and last.there and now_s - last.answered_s > ABSENT_S:
                 self._operator = replace(last, there=False)
                 self._latch("operator_lost")
 

@@ -17,14 +17,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.base import Velocity
+from schemas.base import TICK_S, Velocity
 from services.robot.body import Body, Kinematics, View
-from services.robot.clock import TICK_S
+from services.robot.clock import SILENCE_S
 from smal.obstacles.capture_time import CaptureTime
 from smal.obstacles.clearance import Mount, Surroundings, most_speed
 
 # Age of a depth image after which no ground is free, seconds; equal to that of commands.
-MAX_LOOK_S: Final = 0.25
+MAX_LOOK_S: Final = SILENCE_S
 _STEPS: Final = 20  # Number of steps of a share: each change of it is published.
 
 

@@ -10,13 +10,11 @@ from services.kit.errors import out_of_memory
 from services.kit.node import ServiceError
 from services.kit.throttle import Throttle
 from services.robot.body import Body, Stops, View
-from services.robot.clock import now_s
-from services.robot.gate import OPERATOR_S, SILENCE_S, Applied, CommandGate
+from services.robot.clock import ABSENT_S, SILENCE_S, now_s
+from services.robot.gate import Applied, CommandGate
 
 # Period of the loop.
 PERIOD_S: Final = 0.02
-#: Age of the newest echo at which a lane counts as deaf, seconds; five of the robot's echoes.
-ECHO_S: Final = 0.25
 # Time limit to stand after the source of motion falls silent.
 STAND_WITHIN_S: Final = 0.5
 _log = logging.getLogger("robot")
@@ -26,8 +24,8 @@ def stopping_times_s(body: Stops) -> dict[str, float]:
     """Return the maximum stopping times in seconds by the silent part: the sum of all delays."""
     return {
         "the driver": SILENCE_S + PERIOD_S + body.braking_s,
-        "the operator": OPERATOR_S + PERIOD_S + body.braking_s,
-        "a link": ECHO_S + PERIOD_S + body.braking_s,
+        "the operator": ABSENT_S + PERIOD_S + body.braking_s,
+        "a link": ABSENT_S + PERIOD_S + body.braking_s,
         "this process": body.watchdog_s + body.braking_s,
     }
 

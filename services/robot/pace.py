@@ -5,12 +5,11 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final, Generic, Protocol, TypeVar
 
-from schemas.base import Message, Source
+from schemas.base import TICK_S, Message, Source
 from schemas.command import CommandApplied
 from schemas.rpc import Mode, ResetRequest
 from services.kit.node import Detail
 from services.robot.body import Body, View
-from services.robot.clock import TICK_S
 from services.robot.episode import RunningEpisode
 from services.robot.gate import Applied, CommandGate
 from services.robot.loop import ActuatorLoop

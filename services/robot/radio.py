@@ -10,7 +10,7 @@ import math
 from typing import Final
 
 from schemas.camera import DepthImage
-from services.robot.gate import SILENCE_S
+from services.robot.clock import SILENCE_S
 
 # Maximum age of a command by radio: 50 ms and 20 ms of jitter each way, and a loss.
 AGE_S: Final = 0.5

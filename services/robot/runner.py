@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final, Generic, TypeVar
 
-from schemas.base import NO_EPISODE, Message
+from schemas.base import NO_EPISODE, TICK_S, Message
 from schemas.camera import CompressedImage, DepthImage
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode as EpisodeEvent
@@ -26,7 +26,7 @@ from services.kit.node import ServiceError
 from services.robot import radio
 from services.robot.body import Body, OdometryReading, View
 from services.robot.cancelling import CancelledError, Cancelling
-from services.robot.clock import CLOCKS, TICK_S, Clocks
+from services.robot.clock import CLOCKS, Clocks
 from services.robot.episode import Ended, RunningEpisode
 from services.robot.gate import Applied, CommandGate
 from services.robot.guard import guard_of

@@ -29,9 +29,9 @@ from services.kit.node import Detail, Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.robot import radio
 from services.robot.body import Body, View
-from services.robot.clock import CLOCKS, PULSE_S, Clocks
+from services.robot.clock import ABSENT_S, CLOCKS, PULSE_S, Clocks
 from services.robot.gate import MAX_AGE_S, CommandGate
-from services.robot.loop import ECHO_S, PERIOD_S, check_stopping
+from services.robot.loop import PERIOD_S, check_stopping
 from services.robot.pace import Paces
 from services.robot.runner import EpisodeRunner
 from services.robot.task import OperatorsTask, Task
@@ -94,7 +94,7 @@ class RobotService:
         self.left = False  # Whether this process gives way to another robot with this id.
         runner.wake = node.soon(self.poll)
         node.bus.echo_every(PULSE_S)
-        runner.deaf = lambda: node.bus.echo_age_s(*MOVING) > ECHO_S
+        runner.deaf = lambda: node.bus.echo_age_s(*MOVING) > ABSENT_S
         for source, topic in COMMANDS.items():
             # A sender of stops can also send invalid ones; even a flood of those must stop the
             # robot.

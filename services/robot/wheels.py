@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import astuple
 from typing import Final
 
-from schemas.base import STANDING, Velocity
+from schemas.base import STANDING, TICK_S, Velocity
 from services.robot.body import Kinematics
-from services.robot.clock import TICK_S
 from smal.movement import Movement
 
 #: Delay of a base until it begins to follow a command, and time until it then has its full speed,

@@ -11,6 +11,7 @@ from schemas.codec import describe, printable
 from services.kit.bus import BusError, host_and_port
 from services.kit.errors import UsageError
 from services.kit.node import ServiceError
+from services.robot.clock import SILENCE_S
 from services.robot.loop import check_stopping
 from services.robot.service import RobotSettings
 from services.ros2 import messages
@@ -47,7 +48,7 @@ class Input(_Part):
     """A subscribed topic."""
 
     topic: Topic
-    silence_s: Silence = 0.25
+    silence_s: Silence = SILENCE_S
 
 
 class ScanTopic(Input):

@@ -6,8 +6,7 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from schemas.base import Velocity
-from services.robot.clock import TICK_S
+from schemas.base import TICK_S, Velocity
 from services.simulator.robots import DriveTrain
 from services.simulator.world.place import Place, Pose, Solid
 from services.simulator.world.route import Obstacles, obstacles_of

@@ -11,10 +11,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from schemas.base import ATOMS
+from schemas.base import ATOMS, TICK_S
 from schemas.rpc import MAX_TICKS as NO_LIMIT
 from schemas.rpc import ResetRequest
-from services.robot.clock import TICK_S
 from services.simulator.lockstep import LockstepEpisode
 from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings

@@ -3,11 +3,11 @@
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from schemas.base import KEYS, STANDING, Atom, Message, Velocity
+from schemas.base import KEYS, STANDING, TICK_S, Atom, Message, Velocity
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail
 from services.robot.body import Kinematics
-from services.robot.clock import TICK_S, now_s
+from services.robot.clock import now_s
 from services.robot.episode import RunningEpisode
 from services.robot.gate import bounded
 from services.robot.guard import guard_of

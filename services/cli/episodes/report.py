@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from schemas.base import TICK_S
 from schemas.episode import in_words
 from services.cli.episodes.client import EpisodeRecord
 from services.experiments import html
 from services.experiments.drawing import legend, look_at
 from services.experiments.words import condition
-from services.robot.clock import TICK_S
 from services.simulator.world import known_worlds, load_world
 from services.simulator.world.map_view import draw_map
 from smal.files.stored import Stored

@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from schemas.base import KEYS, Velocity
+from schemas.base import KEYS, TICK_S, Velocity
 from schemas.base import Atom as AtomName
 from schemas.episode import Outcome, Said
 from schemas.rpc import ResetRequest
 from services.experiments.evaluation.degradation import Degrader
 from services.experiments.evaluation.plan import Criterion
-from services.robot.clock import TICK_S
 from services.robot.episode import Ended
 from services.robot.messages import rounded
 from services.simulator.lockstep import LockstepEpisode

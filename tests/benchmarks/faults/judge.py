@@ -13,9 +13,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
-from schemas.base import Message
+from schemas.base import TICK_S, Message
 from schemas.topics import APPLIED, COMMANDS
-from services.robot.clock import TICK_S
 
 VALID_S: Final = 0.5  # A command may be obeyed for so long, counted from the capture of the frame that it answers.
 # A base that does not move for so long stands; as long as from frame to frame.

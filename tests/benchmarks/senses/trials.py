@@ -6,11 +6,10 @@ from typing import Final
 
 import numpy as np
 
-from schemas.base import KEYS, Velocity
+from schemas.base import KEYS, TICK_S, Velocity
 from schemas.rpc import ResetRequest
 from services.experiments.evaluation.drives import drive, drive_of
 from services.experiments.evaluation.plan import TEACHING_SEED
-from services.robot.clock import TICK_S
 from services.robot.messages import rounded
 from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation

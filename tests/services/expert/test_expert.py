@@ -7,12 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import LineString, Point
 
-from schemas.base import Message
+from schemas.base import TICK_S, Message
 from schemas.motion import TruePose
 from schemas.rpc import ResetReply
 from services.expert.driver import ExpertService, RouteDriver
 from services.robot.body import Kinematics
-from services.robot.clock import TICK_S
 from services.simulator.base import move, wheel_speeds
 from services.simulator.robots import RESCUEBOT, DriveTrain
 from services.simulator.world.place import Pose as PlanarPose

@@ -15,7 +15,7 @@ from services.kit.node import Node
 from services.kit.settings import ServiceSettings
 from services.operator.operator import POLL_S, Operator
 from services.robot.body import Beginning
-from services.robot.gate import OPERATOR_S
+from services.robot.gate import ABSENT_S
 from tests.services.conftest import RunNode
 from tests.services.robot.wheels import Policy, Robot, run_robot
 from tests.services.waiting import collected, eventually, status_of
@@ -157,10 +157,10 @@ def test_robot_that_opens_a_world_misses_only_a_lost_operator(
         opening.clear()
         opened.clear()
         assert node.spin(asked(operator, RUN, opening.is_set), 100.0)
-        node.spin(timeout_s=4 * OPERATOR_S)
+        node.spin(timeout_s=4 * ABSENT_S)
         assert there(robot, node)
         if not stays:
-            time.sleep(2 * OPERATOR_S)  # dead: it answers no pulse
+            time.sleep(2 * ABSENT_S)  # dead: it answers no pulse
         opened.set()
 
     open_it()

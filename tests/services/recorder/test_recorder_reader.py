@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.base import Message
+from schemas.base import TICK_S, Message
 from schemas.camera import CompressedImage
 from schemas.rpc import Nothing
 from services.kit.node import Node
@@ -18,7 +18,6 @@ from services.recordings.encoding import decode_image
 from services.recordings.reader import Recording, read_recording
 from services.recordings.stream import RecordingError
 from services.recordings.writer import EpisodeWriter
-from services.robot.clock import TICK_S
 from tests.services.recordings.recorded_messages import (
     applied,
     command,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.base import STANDING, Velocity
+from schemas.base import STANDING, TICK_S, Velocity
 from services.robot.body import Kinematics
 from services.robot.gate import CommandGate
 from services.robot.loop import ActuatorLoop
@@ -16,7 +16,6 @@ from tests.services.robot.gating import command
 from tests.services.robot.line import Clock, LineBody
 
 FULL = Kinematics(2.0, 0.8)
-TICK_S = 0.1
 STEP_S = 0.02
 AHEAD = Velocity(1.0, 0.0)
 LEFT = Velocity(0.0, 1.0)

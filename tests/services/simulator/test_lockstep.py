@@ -2,7 +2,7 @@
 
 import pytest
 
-from schemas.base import Message
+from schemas.base import TICK_S, Message
 from schemas.camera import CameraInfo, CompressedImage, DepthImage
 from schemas.command import CommandApplied
 from schemas.episode import Episode
@@ -10,7 +10,6 @@ from schemas.motion import Imu, Odometry, TruePose
 from schemas.rpc import ArmRequest
 from schemas.topics import DEPTH, Topic
 from services.kit.cameras import camera_of
-from services.robot.clock import TICK_S
 from services.simulator.lockstep import GIVE_UP_S, RESEND_S
 from tests.services.robot.driving import answer, begin, command, events
 from tests.services.robot.line import Clock, LineBody

@@ -9,8 +9,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas.base import ATOMS, KEYS, Atom, Velocity
-from services.robot.clock import TICK_S
+from schemas.base import ATOMS, KEYS, TICK_S, Atom, Velocity
 from services.robot.gate import MAX_AGE_S
 from services.simulator.base import STEP_S, Base, KinematicBase, Motion
 from services.simulator.physics import PhysicalBase

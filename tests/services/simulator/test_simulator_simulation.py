@@ -9,9 +9,8 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas.base import ATOMS, KEYS, Atom, Velocity
+from schemas.base import ATOMS, KEYS, TICK_S, Atom, Velocity
 from schemas.rpc import ResetRequest
-from services.robot.clock import TICK_S
 from services.simulator.base import KinematicBase
 from services.simulator.lockstep import LockstepEpisode
 from services.simulator.robots import DriveTrain

@@ -11,12 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from schemas.base import TICK_S
 from services.experiments.drawing import COLOURS, TEXT, draw_curve, look_at, styled
 from services.experiments.evaluation.degradation import DEGRADATIONS
 from services.experiments.evaluation.plan import CONTROLLERS, DEFAULT_LENGTH, RecognizerName
 from services.experiments.evaluation.report.summary import Recognized, Success
 from services.kit.jpeg import decode_jpeg
-from services.robot.clock import TICK_S
 from services.simulator.world import load_world
 from services.simulator.world.map_view import draw_map
 from smal.likelihood import evenly
