@@ -15,6 +15,8 @@ from smal.arrays import Floats
 
 #: Error of an estimate without information.
 _UNKNOWN: Final = 1e3
+#: Squared error of the view that calibration adds to the views of the approach.
+_PRIOR: Final = 0.25
 
 
 @dataclass(frozen=True)
@@ -23,45 +25,53 @@ class Distance:
 
     #: Distance from the end of the drive to the target, in seconds of driving.
     end_s: float
-    #: Size, and height below the middle, of the target in a view at the end of the drive.
+    #: Size of the target at the end of the drive, and the power of the distance that it falls with:
+    #: below 1, because a small target still covers a whole cell.
     size: float
-    low: float
+    power: float
     size_error: float
+    #: Height of the target there, below the middle of the view or above.
+    low: float
     low_error: float
 
     def __post_init__(self) -> None:
         """Raise ValueError if a number is out of range: they can come from a file."""
-        numbers = astuple(self)
-        if not all(0.0 < number <= _UNKNOWN for number in numbers):
+        if not all(0.0 < abs(number) <= _UNKNOWN for number in astuple(self)):
             raise ValueError("the parts of the target do not fit together: distance")
 
     @classmethod
     def fit(cls, left_s: Floats, sizes: Floats, lows: Floats, usual_s: float) -> "Distance":
         """Calibrate on the views of the approach (n,), `left_s` seconds of driving before the end.
 
-        Few views hardly show the distance from the end to the target, so that it has a wide
-        distribution around `usual_s`. Errors are as if a further view of an error of a half were there.
+        The height gives the distance from the end to the target, which is about `usual_s` if there
+        are few views. Errors are as if a further view had an error of a half.
         """
-        ends_s = usual_s * np.geomspace(0.2, 5.0, 49)
-        away = np.log(ends_s[:, None] + left_s)
-        residuals = np.log(sizes) + away
-        spread = residuals.var(axis=1) * len(sizes)
-        errors = np.sqrt((spread + 0.25) / len(sizes))
-        best = int(np.argmin(len(sizes) * np.log(errors) + np.log(ends_s / usual_s) ** 2 / 2.0))
-        end = math.log(ends_s[best])
-        size = float(np.exp(residuals[best].mean() - end))
-        low = 1.0
+        count = len(sizes)
+        ends_s = usual_s * np.geomspace(0.2, 5.0, 65)
+        away = np.log1p(left_s / ends_s[:, None])
+        unlikely = np.log(ends_s / usual_s) ** 2 / 2.0
+        low = _UNKNOWN
         low_error = _UNKNOWN
-        if (lows > 0.0).all():
-            heights = np.log(lows) + away[best]
-            low = float(np.exp(heights.mean() - end))
-            low_error = math.sqrt((heights.var() * len(lows) + 0.25) / len(lows))
-        return cls(float(ends_s[best]), size, low, float(errors[best]), low_error)
+        if abs(np.sign(lows).sum()) == count:
+            heights = np.log(np.abs(lows)) + away
+            errors = np.sqrt((heights.var(axis=1) * count + _PRIOR) / count)
+            unlikely += count * np.log(errors)
+            best = int(unlikely.argmin())
+            low = float(np.sign(lows[0]) * np.exp(heights[best].mean()))
+            low_error = float(errors[best])
+        best = int(unlikely.argmin())
+        from_mean = away[best] - away[best].mean()
+        falls = float(-from_mean @ np.log(sizes) + _PRIOR)
+        power = float(np.clip(falls / (from_mean @ from_mean + _PRIOR), 0.2, 1.0))
+        size = np.log(sizes) + power * away[best]
+        size_error = math.sqrt((size.var() * count + _PRIOR) / count) / power
+        at_end = float(np.exp(size.mean()))
+        return cls(float(ends_s[best]), at_end, power, size_error, low, low_error)
 
     def log_near(self, size: float, low: float) -> tuple[float, float]:
         """Return the log of the distance at the end over the distance now, and its error."""
-        by_size = math.log(size / self.size), self.size_error
-        if low <= 0.0:
+        by_size = math.log(size / self.size) / self.power, self.size_error
+        if low * self.low <= 0.0:
             return by_size
         return combined(by_size, (math.log(low / self.low), self.low_error))
 

@@ -102,24 +102,20 @@ class Compared:
         return max(found, key=lambda window: window.score)
 
     def extent(self, window: "Window", usual: float) -> "Extent":
-        """Return the extent of the target around a window.
+        """Return the extent of the target, given the best window and its usual score.
 
-        These are the cells in one piece with the best cell of the window whose ratio is above the
-        middle between that of the window and the usual one. So neither light nor noise changes it.
+        The target covers the cells whose ratio is at least three quarters of the way from the usual
+        score to that of the window. Light and noise move both, so that they hardly change the size.
         """
         import cv2  # noqa: PLC0415 - see `smal.features.resizing`
 
         ratio = np.log(cv2.blur(self.to_others, (3, 3)) / cv2.blur(self.to_target, (3, 3)))
-        best = int(ratio[window.inside].argmax())
-        row, column = np.unravel_index(best, ratio[window.inside].shape)
-        row = int(row) + window.inside[0].start
-        column = int(column) + window.inside[1].start
-        above = ratio > (window.score + usual) / 2.0
-        above[row, column] = True
-        _, labels = cv2.connectedComponents(above.astype(np.uint8), connectivity=4)
-        piece = labels == labels[row, column]
-        middle = (np.argwhere(piece).mean(axis=0) + 0.5) / piece.shape - 0.5
-        return Extent(math.sqrt(piece.sum()), float(middle[0]), -float(middle[1]))
+        best = float(ratio[window.inside].max())
+        above = ratio >= min(0.75 * window.score + 0.25 * usual, best)
+        inside = np.zeros_like(above)
+        inside[window.inside] = above[window.inside]
+        low, right = (np.argwhere(inside).mean(axis=0) + 0.5) / inside.shape - 0.5
+        return Extent(math.sqrt(above.sum()), float(low), -float(right))
 
 
 class Window(NamedTuple):

@@ -15,7 +15,7 @@ from services.kit.node import ServiceError
 from services.recognition.service import RecognitionService
 from smal.features import extract
 from smal.obstacles.strange import Ground
-from smal.sought.score import SCORES
+from smal.sought.evidence import Evidence
 from smal.sought.word import Word
 from tests import corridor
 from tests.places import estimate
@@ -75,7 +75,7 @@ def test_a_view_of_nowhere_is_unknown(service: RecognitionService) -> None:
 
 
 def test_detected_target_is_seen(tmp_path: Path) -> None:
-    tells = Word("apriltag 7", 0.04, np.where(SCORES < 0.5, -2.0, 9.0))
+    tells = Word("apriltag 7", 0.04, Evidence(0.0, 0.1, 1.0, 60))
     replace(corridor.model(), words={"victim": tells}).save(tmp_path / "way.smal")
     service = RecognitionService()
     box = (0.3, 0.4, 0.5, 0.6)
@@ -221,7 +221,7 @@ def test_recognition_answers_when_the_odometry_jumps_far(service: RecognitionSer
 def test_recognition_answers_when_a_box_is_impossible(
     tmp_path: Path, box: tuple[float, float, float, float]
 ) -> None:
-    tells = Word("apriltag 7", 0.04, np.where(SCORES < 0.5, -2.0, 9.0))
+    tells = Word("apriltag 7", 0.04, Evidence(0.0, 0.1, 1.0, 60))
     replace(corridor.model(), words={"victim": tells}).save(tmp_path / "way.smal")
     service = RecognitionService()
     service.load(LoadedModel.read(tmp_path / "way.smal"))
