@@ -164,7 +164,7 @@ class Localizer:
         return self._witness.look(picture, self._time_s, detected, place)
 
     def _before_end(self, belief: Belief, weights: Floats) -> tuple[float, float]:
-        """Return the distance of particles (p,) from the ends of their drives, and its deviation, in seconds of driving."""
+        """Return the distance from the ends of drives, and its deviation, in seconds of driving."""
         mapped = self._map
         poses = placed(belief.offsets, mapped.key_poses[belief.keyframes])
         ends = mapped.key_poses[mapped.key_range[1][belief.keyframes]]

@@ -110,47 +110,45 @@ class _Way:
 def learn_sight(drives: Sequence[Taught], config: TargetConfig = TARGET_CONFIG) -> Sight | None:
     """Learn the target at the ends of some drives; None if nothing there stands out from their ways."""
     way = _Way(drives, config)
-    if len(way.cells) < 4:
-        return None
-    stands_out = way.stands_out(config.stands_out)
-    if not np.isfinite(stands_out):
-        return None
-    tracked = in_parallel(lambda one: list(_patches(one, way.codes, stands_out, config)), drives)
-    patches = [patch for of_drive in tracked for patch in of_drive]
-    patches = _lasting([patches[k] for k in evenly(len(patches), _VIEWS)])
+    patches = _tracked(drives, way, config) if len(way.cells) >= 4 else []
     if len(patches) < 2:
         return None
-    targets = [patch.cells[patch.mask] for patch in patches]
-    targets = [cells[evenly(len(cells), _TARGET)] for cells in targets]
+    parts = [patch.cells[patch.mask] for patch in patches]
+    parts = [cells[evenly(len(cells), _TARGET)] for cells in parts]
     beside = np.concatenate([_spread(p.cells[~p.mask], _BESIDE, way.codes) for p in patches])
-    target = np.concatenate(targets)
+    target = np.concatenate(parts)
     others = np.concatenate([way.codes, beside])
     windows = _windows(patches)
     elsewhere = way.compared(target, beside)
     here = [
-        Compared.of(patch.cells[::2, ::2], _without(targets, k), others)
+        Compared.of(patch.cells[::2, ::2], _without(parts, k), others)
         for k, patch in enumerate(patches)
     ]
     found = [each.window(windows) for each in here]
     scores = [window.score for window in found]
-    evidence = Evidence.fit(
-        scores, [each.window(windows).score for each in elsewhere], config.sure
-    )
+    usual = [each.window(windows).score for each in elsewhere]
+    evidence = Evidence.fit(scores, usual, config.sure)
     if evidence is None:
         return None
-    pairs = zip(here, found, strict=True)
-    extents = [each.extent(window, evidence.usual) for each, window in pairs]
     # Further away the target has hardly a cell.
     clear = [k for k, score in enumerate(scores) if score > evidence.most]
-    distance = Distance.fit(
-        np.array([patches[k].left_s for k in clear]),
-        np.array([extents[k].size for k in clear]),
-        np.array([extents[k].low for k in clear]),
-        config.end_s,
-    )
+    extents = [here[k].extent(found[k], evidence.usual) for k in clear]
+    left_s = np.array([patches[k].left_s for k in clear])
+    sizes, lows, _ = np.array(extents).T
+    distance = Distance.fit(left_s, sizes, lows, config.end_s)
     unlike = max(each.unlike for each in elsewhere)
     codes = target.astype(np.float16), others.astype(np.float16)
     return Sight(*codes, windows, unlike, evidence, distance)
+
+
+def _tracked(drives: Sequence[Taught], way: _Way, config: TargetConfig) -> list[_Patch]:
+    """Return the target in the views of all approaches."""
+    stands_out = way.stands_out(config.stands_out)
+    if not np.isfinite(stands_out):
+        return []
+    each = in_parallel(lambda one: list(_patches(one, way.codes, stands_out, config)), drives)
+    patches = [patch for of_drive in each for patch in of_drive]
+    return _lasting([patches[k] for k in evenly(len(patches), _VIEWS)])
 
 
 def learn_word(drives: Sequence[Taught], config: TargetConfig = TARGET_CONFIG) -> Word | None:
@@ -159,22 +157,26 @@ def learn_word(drives: Sequence[Taught], config: TargetConfig = TARGET_CONFIG) -
     Of several labels, the last views decide, in the drawn box if any; then the size.
     """
     last = [found for one in drives for found in _last_detections(one, config)]
-    words: list[tuple[float, Word]] = []
+    words: list[tuple[float, float, Word]] = []
     for label in sorted({found.label for found in last}):
-        here: list[float] = []
-        elsewhere: list[float] = []
-        for one in drives:
-            scores = [best(view, label)[0] for view in one.detected]
-            first = one.approach(config).start
-            here += scores[first:]
-            elsewhere += scores[: _first_view(one, scores, config)]
-        evidence = Evidence.fit(here, elsewhere, config.sure)
+        evidence = _evidence_of(label, drives, config)
         if evidence is not None:
             of_it = [found for found in last if found.label == label]
             told = sum(evidence.log_ratio(found.score) for found in of_it)
             size = float(np.median([area(found) for found in of_it]))
-            words.append((told, Word(label, size, evidence)))
-    return max(words, key=lambda each: (each[0], each[1].size))[1] if words else None
+            words.append((told, size, Word(label, size, evidence)))
+    return max(words, key=lambda each: each[:2])[2] if words else None
+
+
+def _evidence_of(label: str, drives: Sequence[Taught], config: TargetConfig) -> Evidence | None:
+    """Calibrate the scores of a label."""
+    here: list[float] = []
+    elsewhere: list[float] = []
+    for one in drives:
+        scores = [best(view, label)[0] for view in one.detected]
+        here += scores[one.approach(config).start :]
+        elsewhere += scores[: _first_view(one, scores, config)]
+    return Evidence.fit(here, elsewhere, config.sure)
 
 
 def _last_detections(one: Taught, config: TargetConfig) -> Iterator[Detection]:
@@ -243,25 +245,27 @@ def _patches(
     for k in reversed(one.approach(config)):
         cells = cells_of(one.pictures[k])
         new = nearest(cells, codes)
-        away = nearest(cells, known)
-        alike = away < new
         above = new > stands_out
         if not len(known):
-            drawn = None if one.box is None else _drawn(one.box, above)
-            mask = _piece(above, new - stands_out, middle) if drawn is None else drawn
+            mask = _first_mask(one.box, above, new - stands_out, middle)
+            if mask is None:
+                return
         else:
+            away = nearest(cells, known)
+            alike = away < new
             # Beside a drawn target, other new things can be in one piece with it.
             above &= alike | (one.box is None)
             mask = _piece(above, np.maximum(new - away, 0.0), middle)
-        if mask is None:
-            if not len(known):
-                return
-            continue
-        if len(known) and alike[mask].mean() < 0.5:
-            continue
+            if mask is None or alike[mask].mean() < 0.5:
+                continue
         known = np.concatenate([known, cells[mask]])
         middle = np.argwhere(mask).mean(axis=0)
         yield _Patch(cells, mask, float(one.left_s[k]))
+
+
+def _first_mask(box: Box | None, above: Bools, weights: Float32s, middle: Floats) -> Bools | None:
+    """Return the target in the last view: in the drawn box, or the most central new piece."""
+    return _piece(above, weights, middle) if box is None else _drawn(box, above)
 
 
 def _drawn(box: Box, stands_out: Bools) -> Bools:

@@ -148,7 +148,9 @@ def looked_around(planner: Planner, *places: tuple[int, float, float, float]) ->
 LAST = (len(STRAIGHT.keyframes) - 1, 0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize(("before", "arrived"), [((LAST, (10, 0.0, 0.0, 0.0)), False), ((LAST,), True)])
+@pytest.mark.parametrize(
+    ("before", "arrived"), [((LAST, (10, 0.0, 0.0, 0.0)), False), ((LAST,), True)]
+)
 def test_look_around_counts_at_its_own_place(
     before: tuple[tuple[int, float, float, float], ...], arrived: bool
 ) -> None:
