@@ -7,19 +7,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from smal.arrays import AnyArray, Float32s, Uint8s
+from smal.arrays import AnyArray, Float32s, Floats, Uint8s
 from smal.camera_change import CameraPitch
 from smal.features.detectors import Detection
 from smal.features.percept import Percept, perceive
 from smal.filter import Belief, Filter
 from smal.map import beside, way_from
 from smal.model import Model
-from smal.movement import BY_ATOMS, BY_ODOMETRY, STANDS, STILL, Atom, Motion, Movement
+from smal.movement import BY_ATOMS, BY_ODOMETRY, STANDS, STILL, Atom, Motion, Movement, placed
 from smal.obstacles.clearance import Mount, Surroundings
 from smal.obstacles.strange import GROUND_CONFIG, swept
 from smal.particles import FILTER_CONFIG, FilterConfig
 from smal.planning import Decision, Planner, Said, chosen_goal
-from smal.sought.sight import TARGET_CONFIG
+from smal.sought.sight import TARGET_CONFIG, TargetConfig
 from smal.sought.witness import Glimpse, Witness
 
 NO_GROUND = (
@@ -69,6 +69,7 @@ class Localizer:
     watches : bool
         Whether to detect unexpected ground.
     config : FilterConfig
+    target : TargetConfig
 
     Raises
     ------
@@ -83,6 +84,7 @@ class Localizer:
         goal: str | None = None,
         watches: bool = False,
         config: FilterConfig = FILTER_CONFIG,
+        target: TargetConfig = TARGET_CONFIG,
     ) -> None:
         if watches and model.ground is None:
             raise ValueError(NO_GROUND)
@@ -97,10 +99,10 @@ class Localizer:
             goal = mapped.goals[0]
         sight = model.sights.get(goal or "")
         word = model.words.get(goal or "")
-        self._witness = Witness(sight, word) if sight or word else None
+        self._witness = Witness(sight, word, target) if sight or word else None
         _, last = mapped.key_range
         to_end = (mapped.key_poses - mapped.key_poses[last])[:, :2]
-        near_end = np.hypot(*to_end.T) <= TARGET_CONFIG.approach_s * mapped.speed
+        near_end = np.hypot(*to_end.T) <= target.approach_s * mapped.speed
         self._near = (mapped.key_goals == goal) & near_end
         self.reset()
 
@@ -170,14 +172,26 @@ class Localizer:
         """
         if self._witness is None:
             return None
-        if belief.share(self._near) >= 0.5:
+        near = belief.weights * self._near[belief.keyframes]
+        place = self._before_end(belief, near) if near.sum() >= 0.5 else None
+        if place is not None:
             self._since_near = 0.0
         if self._since_near > self._map.correlation_length:
             self._witness.reset()
             return Glimpse(0.0, 0.0)
         if picture is None:
             return Glimpse(0.0, 0.0)
-        return self._witness.look(picture, self._time_s, detected)
+        return self._witness.look(picture, self._time_s, detected, place)
+
+    def _before_end(self, belief: Belief, weights: Floats) -> tuple[float, float]:
+        """Return the distance from the ends of drives, and its deviation, in seconds of driving."""
+        mapped = self._map
+        poses = placed(belief.offsets, mapped.key_poses[belief.keyframes])
+        ends = mapped.key_poses[mapped.key_range[1][belief.keyframes]]
+        away_s = np.hypot(*(poses - ends)[:, :2].T) / max(mapped.speed, 1e-9)
+        mean_s = float(np.average(away_s, weights=weights))
+        deviation_s = math.sqrt(np.average((away_s - mean_s) ** 2, weights=weights))
+        return mean_s, deviation_s
 
     def strange(self, picture: Uint8s | None, belief: Belief) -> float:
         """Return the distance to unexpected ground ahead, in the map's unit; infinite if the ground is as taught."""

@@ -3,7 +3,7 @@
 import time
 from typing import Annotated, Any
 
-from typer import Option
+from typer import Option, echo
 
 from services.cli import options
 from services.cli.adding import add_runs
@@ -61,6 +61,11 @@ def learn(
             model = learn_map(teaching.demonstrations, features, progress=bars, parallel=engine.map)
         except ValueError as error:
             raise JobError(f"cannot learn from these recordings: {error}") from None
+    for goal in sorted({*model.mapped.goals} - {*model.sights} - {*model.words}):
+        echo(
+            f"{goal}: the end of the drive shows nothing particular; the robot reports it as found on arrival",
+            err=True,
+        )
     lessons.finish(model, _found(model), teaching, began_s)
 
 

@@ -1,8 +1,9 @@
 """The behaviours of a robot on the way to its goal, in their order of priority.
 
-In every frame each behaviour first updates its clock by the last motion of the robot. Then the first behaviour with a
-proposal decides: `Done`, `Search`, `Blind`, `BackOff`, `Follow`, `LookAround`, `Guess`, `DeadEnd`.
-If an obstacle blocks the proposal, `Wait` changes it.
+In every frame each behaviour first updates its clock by the last motion of the robot, and `Search`
+judges whether the result is certain. Then the first behaviour with a proposal decides: `Done`,
+`Search`, `Blind`, `BackOff`, `Follow`, `LookAround`, `Guess`, `DeadEnd`. If an obstacle blocks the
+proposal, `Wait` changes it.
 """
 
 import math
@@ -13,7 +14,7 @@ import numpy as np
 
 from smal.arrays import Floats
 from smal.filter import Belief
-from smal.map import VisualMap
+from smal.map import VisualMap, in_common_axes
 from smal.movement import STANDS, Motion
 from smal.obstacles.avoidance import Turns, way_round
 from smal.obstacles.clearance import Surroundings
@@ -97,7 +98,10 @@ class Behaviour:
 
     def propose(self, now: Situation) -> Intent | None:
         """Return the intent until the next frame; None defers to the behaviours of lower priority."""
-        raise NotImplementedError
+
+    def instead_of(self, intent: Intent, now: Situation) -> Intent:
+        """Return the decided intent, or a replacement."""
+        return intent
 
 
 class Done(Behaviour):
@@ -116,7 +120,8 @@ class LookAround(Behaviour):
 
     It is due again when the robot has followed the way for a correlation length, or guessed for
     `PlannerConfig.guess_s`. An earlier repetition can turn the robot to and fro for ever at an ambiguous place. It is
-    also due when no view supports the robot's place any more.
+    also due when no view supports the robot's place any more, and at the end of the way if the robot has looked around
+    at another place.
     """
 
     def __init__(self, taught: VisualMap, chassis: Chassis) -> None:
@@ -124,35 +129,53 @@ class LookAround(Behaviour):
         self._chassis = chassis
         self._length = taught.correlation_length
         self._side = 1.0
-        self._turned_rad = 0.0
-        self._followed = 0.0
-        self._guessed_s = 0.0
+        self._apart = taught.config.elsewhere * taught.correlation_length
+        self._places = in_common_axes(taught)[:, :2]
+        self._place = self._places[0]
+        self._turned_here_rad = 0.0
+        self.again()
 
     @property
     def done(self) -> bool:
         """Whether the robot has looked all around since it last drove."""
         return self._turned_rad >= self._config.look_rad
 
+    @property
+    def done_here(self) -> bool:
+        """Whether the robot has looked all around at its estimated place: views of another place are no evidence."""
+        return self._turned_here_rad >= self._config.look_rad
+
     def again(self) -> None:
         """Reset, so that the robot looks around again."""
         self._turned_rad = 0.0
+        self._turned_here_rad = 0.0
         self._followed = 0.0
         self._guessed_s = 0.0
 
     def note(self, now: Situation) -> None:
         """Count the turn, and the way since the robot looked around."""
+        self._stay_or_begin(now.belief)
         if now.doing == "look_around":
             self._turn(abs(now.motion[1]) * self._chassis.turn_rad_s * now.elapsed_s)
         ahead = self._chassis.speed * max(now.motion[0], 0.0) * now.elapsed_s
         self._followed = self._followed + ahead if now.doing == "follow" else 0.0
         self._guessed_s += now.elapsed_s if now.doing == "guess" else 0.0
         due = self._followed > self._length or self._guessed_s >= self._config.guess_s
-        if due or (now.unseen and max(self._followed, self._guessed_s) > 0.0):
+        elsewhere = now.at_end and self.done and not self.done_here
+        if due or elsewhere or (now.unseen and max(self._followed, self._guessed_s) > 0.0):
             self.again()
+
+    def _stay_or_begin(self, belief: Belief) -> None:
+        """Count the turn from the start if the robot's estimated place has changed."""
+        apart = np.hypot(*(self._places[belief.keyframes] - self._place).T)
+        if float(belief.weights @ (apart < self._apart)) < 0.5:
+            self._place = self._places[belief.keyframes[belief.weights.argmax()]]
+            self._turned_here_rad = 0.0
 
     def _turn(self, turned_rad: float) -> None:
         before = self._turned_rad
         self._turned_rad += turned_rad
+        self._turned_here_rad += turned_rad
         if before < math.radians(self._config.look_aside_deg) <= self._turned_rad:
             self._side = -self._side
 
@@ -166,7 +189,7 @@ class LookAround(Behaviour):
 
 
 class Search(Behaviour):
-    """Search the target at the end of the way, approach it, and announce the result.
+    """Search the target at the end of the way, approach it, and judge the result.
 
     Before arrival, the robot already approaches a target that is as near as at the end of the taught ways.
     """
@@ -185,61 +208,94 @@ class Search(Behaviour):
         self._searched_s = 0.0
         self._neared_s = 0.0
         self._came_s = 0.0
-        self._nears = False  # Whether the last proposal was to approach the target.
+        self._hidden_s = 0.0
+        self._nears = False  # Whether the robot approaches the target.
 
     def note(self, now: Situation) -> None:
-        """Count the time of approaching and of searching."""
+        """Count the time of approaching, of searching, and of waiting before an obstacle that hides the target."""
         if self._nears:
             # Turning, or waiting before an obstacle, counts half.
             self._neared_s += now.elapsed_s * (1.0 + max(now.motion[0], 0.0)) / 2.0
-        elif now.doing == "search" and not self._came_s:
+        elif now.doing == "search" and not self._hidden:
             self._searched_s += now.elapsed_s
+        self._hidden_s += now.elapsed_s if self._came_s else 0.0
         # An obstacle that appeared in free space can resemble the target, and can hide it.
         self._came_s = max(self._came_s - now.elapsed_s, 0.0)
-        left = None if now.seen is None else now.seen.left
-        if left is None or now.around is None:
-            return
-        if now.around.has_come(self._off_rad(left)):
-            self._came_s = self._config.target.same_moment_s
+        target_rad = self._target_rad(now)
+        if now.around and target_rad is not None and now.around.has_come(target_rad):
+            self._came_s = self._config.moment_s
 
-    def propose(self, now: Situation) -> Intent | None:
-        """Announce a certain result, approach the visible target, or continue to search."""
+    @property
+    def _hidden(self) -> bool:
+        """Whether the robot waits for an obstacle that hides the target to leave; a car cannot look at other places."""
+        waits = self._chassis.car or self._hidden_s < self._config.waits_s
+        return self._came_s > 0.0 and waits
+
+    def _target_rad(self, now: Situation) -> float | None:
+        """Return the direction to the target in view; out of view, to its taught place ahead of the end of the way."""
+        if now.seen is not None and now.seen.left is not None:
+            return self._off_rad(now.seen.left)
+        in_field = abs(now.heading_rad) < math.radians(self._taught.scene[0]) / 2.0
+        return now.heading_rad if self.arrived and now.at_end and in_field else None
+
+    def judge(self, now: Situation) -> Said | None:
+        """Return the certain result, if any; otherwise decide whether to approach, or to go on to another end."""
         self._nears = False
         if now.unseen and not now.sees:
             return None
         sure = self._sure(now)
         if not self.arrived and now.at_end and sure:
             self._arrive(now.belief)
-        intent = self._act_on_view(now.seen, sure)
-        if intent is None and self.arrived:
-            return self._look_on(now.belief)
-        return intent
+        if self._finds(now.seen, sure):
+            return "found"
+        self._nears = self._may_approach(now.seen, sure)
+        if self.arrived:
+            return None if self._nears else self._leave(now.belief)
+        stuck = not (now.has_way or now.lost or now.unseen) and self._look.done
+        return "not_here" if stuck and self._mission.route.tried else None
+
+    def propose(self, now: Situation) -> Intent | None:
+        """Approach the visible target, or search it at the end of the way: turn once round, whatever the belief."""
+        if now.unseen and not now.sees:
+            return None
+        if self._nears and now.seen is not None and now.seen.left is not None:
+            heading_rad = self._off_rad(now.seen.left)
+            return Intent("search", None, heading_rad, np.array([heading_rad]), np.ones(1))
+        if not self.arrived:
+            return None
+        stands = self._hidden or self._chassis.car
+        return Intent("search", STANDS if stands else self._chassis.turn(1.0))
 
     def _sure(self, now: Situation) -> bool:
-        """Return whether the robot is certainly near the goal, after tracking the way or looking around."""
+        """Return whether the robot is certainly near the goal, after tracking the way or looking around.
+
+        If nothing stands out at the end of the way, its views are no evidence, so that only tracking counts.
+        """
         followed = now.belief.tracked > self._config.tracked * self._taught.correlation_length
+        looked = now.seen is not None and self._look.done_here
         at_goal = now.at_goal * (1.0 - now.belief.lost)
-        return (followed or self._look.done) and at_goal > self._config.arrived
+        return (followed or looked) and at_goal > self._config.arrived
 
-    def _act_on_view(self, seen: Glimpse | None, sure: bool) -> Intent | None:
-        """Announce a near target as found, or approach a visible one."""
-        if not self._in_view(seen):
-            return None
+    def _finds(self, seen: Glimpse | None, sure: bool) -> bool:
+        """Return whether the target is in view, and about as near as where the taught ways ended."""
         if seen is None:
-            return self._say("found") if self.arrived else None
-        # From an untaught pose less of the target can be visible.
-        about_as_near = seen.near > 1.0 / self._config.as_near
-        beside = sure and about_as_near
-        if (self.arrived and about_as_near) or (beside and seen.near > 1.0):
-            return self._say("found")
-        may_approach = self._neared_s < self._config.goal_s
-        if seen.left is not None and (self.arrived or beside) and may_approach:
-            return self._go_up_to(seen.left)
-        return None
+            return self.arrived
+        return self._in_view(seen) and (
+            (self.arrived and self._is_near(seen)) or (sure and seen.near > 1.0)
+        )
 
-    def _say(self, result: Said) -> Intent:
-        self._mission.said = result
-        return Intent("goal", STANDS)
+    def _may_approach(self, seen: Glimpse | None, sure: bool) -> bool:
+        if seen is None or seen.left is None or not self._in_view(seen):
+            return False
+        in_reach = self.arrived or (sure and self._is_near(seen))
+        return in_reach and self._neared_s < self._config.goal_s
+
+    def _in_view(self, seen: Glimpse) -> bool:
+        return seen.probability > self._config.in_view and not self._came_s
+
+    def _is_near(self, seen: Glimpse) -> bool:
+        """Return whether the target is about as near as taught: from an untaught pose less of it can be visible."""
+        return seen.near > 1.0 / self._config.as_near
 
     def _arrive(self, belief: Belief) -> None:
         self.arrived = True
@@ -247,36 +303,22 @@ class Search(Behaviour):
         self._ends = self._mission.route.ends_near(belief, distance)
         self._neared_s = 0.0
         self._searched_s = 0.0
+        self._hidden_s = 0.0
 
-    def _in_view(self, seen: Glimpse | None) -> bool:
-        """Return whether the target is in view; without a target detector it counts as visible."""
-        cost = self._config.target.false_seen
-        least = cost / (1.0 + cost)
-        return seen is None or (seen.probability > least and not self._came_s)
+    def _leave(self, belief: Belief) -> Said | None:
+        """After the search, drive on to another end; without any the target is not here."""
+        around_s = self._config.search_rad(float(self._taught.scene[0])) / self._chassis.turn_rad_s
+        # A car cannot turn without leaving the place.
+        if self._searched_s < (self._config.stands_s if self._chassis.car else around_s):
+            return None
+        self.arrived = False
+        self._neared_s = 0.0
+        self._mission.route = self._mission.route.beyond(self._ends)
+        return None if self._mission.route.has_way(belief) else "not_here"
 
     def _off_rad(self, left: float) -> float:
         """Return the direction of an image position, positive to the left of ahead, radians."""
         return left * math.radians(self._taught.scene[0])
-
-    def _go_up_to(self, left: float) -> Intent:
-        self._nears = True
-        heading_rad = self._off_rad(left)
-        return Intent("search", None, heading_rad, np.array([heading_rad]), np.ones(1))
-
-    def _look_on(self, belief: Belief) -> Intent | None:
-        """Turn once round, whatever the belief; then drive to another end, or announce "not here"."""
-        car = self._chassis.car
-        around_s = self._config.search_rad(float(self._taught.scene[0])) / self._chassis.turn_rad_s
-        # A car cannot turn without leaving the place.
-        search_s = self._config.stands_s if car else around_s
-        if self._searched_s < search_s:
-            return Intent("search", STANDS if car else self._chassis.turn(1.0))
-        self.arrived = False
-        self._neared_s = 0.0
-        self._mission.route = self._mission.route.beyond(self._ends)
-        if self._mission.route.has_way(belief):
-            return None
-        return self._say("not_here")
 
 
 class Blind(Behaviour):
@@ -359,16 +401,12 @@ class Guess(Behaviour):
 class DeadEnd(Behaviour):
     """Stand if no taught way leads on to the goal."""
 
-    def __init__(self, mission: Mission) -> None:
-        self._mission = mission
-
     def propose(self, now: Situation) -> Intent | None:
-        """Stand; if all reachable ends were tried, announce that the goal is not here."""
-        self._mission.said = "not_here" if self._mission.route.tried else None
+        """Stand."""
         return Intent("dead_end", STANDS, now.heading_rad)
 
 
-class Wait:
+class Wait(Behaviour):
     """Drive around an obstacle, or wait before it.
 
     A person waits for the robot while it waits for the person. Therefore the robot backs up after

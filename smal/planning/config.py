@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from smal.obstacles.strange import LOOKS_S
-from smal.sought.sight import TARGET_CONFIG, TargetConfig
+from smal.sought.sight import TARGET_CONFIG
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,10 @@ class PlannerConfig:
     stops_s: float = 2.0
     #: A visible target counts as found within this multiple of the distance at which the taught ways ended.
     as_near: float = 1.3
-    target: TargetConfig = TARGET_CONFIG
+    #: Probability from which the target counts as in view, as in learning.
+    in_view: float = TARGET_CONFIG.sure
+    #: Time, by the clock, for which a new obstacle in the direction of the target counts, as for views of it.
+    moment_s: float = TARGET_CONFIG.moment_s
     #: Time, by the clock, after which a robot without a decision stands.
     stands_after_s: float = 0.5
 

@@ -88,12 +88,11 @@ class Planner:
         self._mission = Mission(self._route)
         look = LookAround(self._taught, self._chassis)
         self._search = Search(self._taught, self._chassis, self._mission, look)
-        self._wait = Wait(self._taught, self._chassis, self._mission, look)
+        wait = Wait(self._taught, self._chassis, self._mission, look)
         back_off = BackOff(self._taught, self._chassis, look)
-        follow = Follow(look, self._wait)
+        follow = Follow(look, wait)
         self._behaviours: tuple[Behaviour, ...] = (
-            Done(self._mission), self._search, Blind(look), back_off, follow, look, Guess(),
-            DeadEnd(self._mission),
+            Done(self._mission), self._search, Blind(look), back_off, follow, look, Guess(), DeadEnd(), wait
         )  # fmt: skip
 
     @property
@@ -132,7 +131,7 @@ class Planner:
             Latency from the frame until the decision moves the robot, seconds. Until then the last motion goes on.
         seen
             Probability that the target is in view; None without a target detector. The robot then announces "found"
-            on arrival.
+            on arrival by a tracked way.
         around
             Obstacles around the robot. With odometry, a robot that turns on the spot drives around them. For every
             robot, an obstacle that has just appeared is not the target.
@@ -148,10 +147,11 @@ class Planner:
         now = self._situation(belief, elapsed_s, delay_s, seen, around, strange)
         for behaviour in self._behaviours:
             behaviour.note(now)
-        self._wait.note(now)
+        self._mission.said = self._mission.said or self._search.judge(now)
         proposals = (behaviour.propose(now) for behaviour in self._behaviours)
-        proposal = next(intent for intent in proposals if intent is not None)
-        intent = self._wait.instead_of(proposal, now)
+        intent = next(intent for intent in proposals if intent is not None)
+        for behaviour in self._behaviours:
+            intent = behaviour.instead_of(intent, now)
         self._doing = intent.kind
         motion = self._steering.steer(intent, elapsed_s, delay_s)
         return Decision(intent.kind, intent.heading_rad, motion)

@@ -1,14 +1,11 @@
 """Learning of the target from the ends of drives, and of its difference from all other views.
 
-A drive ends before the target. The target consists of the cells in the last views that the way before does not explain:
-cells of a small picture that are further from all cells of the way than nearly any cell of the way is from the rest, in
-one piece, ahead. It is tracked back from the last view over the approach, so that it is learned at several sizes.
-
-Scores of the approach, each view left out of the target, calibrate views with the target. Scores of the way, each
-view's neighbourhood left out, calibrate views without it.
+A drive ends before the target. The target consists of the cells in the last views that the way
+before does not explain, in one piece, ahead. It is tracked back from the last view over the approach,
+so that it is learned at several sizes. Views of the approach, each left out of the target, calibrate
+views with the target; views of the way, each left out with its neighbourhood, views without it.
 """
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
@@ -16,41 +13,35 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from smal.arrays import Bools, Float32s, Floats, Int32s
 from smal.camera import Image
 from smal.features.detectors import Detection
 from smal.features.extraction import in_parallel
 from smal.features.resizing import SHAPE
-from smal.keyframes import MAP_CONFIG
-from smal.likelihood import evenly, log_ratio
-from smal.sought.score import SCORES
+from smal.likelihood import evenly
+from smal.sought.distance import Distance
+from smal.sought.evidence import Evidence
 from smal.sought.sight import (
     NUMBERS,
+    SIZES,
     TARGET_CONFIG,
+    Compared,
     Sight,
-    best_window,
+    TargetConfig,
     cells_of,
     nearest,
-    speaking,
 )
 from smal.sought.word import Word, area, best
 
-#: Cells kept of each view: of the way, of what stands beside what is sought, of what is sought.
-_CODES = 32
-_BESIDE = 128
-_SOUGHT = 24
-Box = tuple[
-    float, float, float, float
-]  # Left, top, right, bottom: shares of a view's width and height.
-_FEWEST: Final = 8  # Cells that are the least to be looked for.
-_LEAST: Final = 3  # Rows and columns that a window has at least: fewer cells look like anything.
-
-
-class _Patch(NamedTuple):
-    """The target in one view of the approach."""
-
-    cells: NDArray[np.float32]  # Cells of the small picture, (60, 80, 27).
-    mask: NDArray[np.bool_]  # Which of these are of what is sought.
-    last: bool  # Whether it is the drive's last view.
+#: Left, top, right, bottom: shares of a view's width and height.
+Box = tuple[float, float, float, float]
+_VIEWS: Final = 60  # Views of the way, and of the approach, whose cells are kept.
+#: Cells kept of each view: of the way, beside the target, of the target.
+_CODES: Final = 32
+_BESIDE: Final = 128
+_TARGET: Final = 24
+_FEWEST: Final = 8  # Minimum cells of a target.
+_LEAST: Final = 3  # Minimum rows and columns of a window: fewer cells look like anything.
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,149 +49,153 @@ class Taught:
     """Keyframes of one drive as small pictures, and the time of driving from each to the end, seconds."""
 
     pictures: Sequence[Image]
-    left_s: NDArray[np.float64]
-    ends: bool  # Whether it ends before what is sought.
-    box: Box | None = None  # Where that is in its last view, if somebody has drawn it.
-    detected: Sequence[
-        Sequence[Detection]
-    ] = ()  # What detectors find in each keyframe; nothing without any.
+    left_s: Floats
+    ends: bool  # Whether it ends before the target.
+    box: Box | None = None  # Box of the target in its last view, if an operator has drawn it.
+    #: Detections in each keyframe; empty without detectors.
+    detected: Sequence[Sequence[Detection]] = ()
+
+    def approach(self, config: TargetConfig) -> range:
+        """Return the views of the approach: the last seconds, at most the last third."""
+        count = len(self.pictures)
+        within = int((self.left_s <= config.approach_s).sum()) if self.ends else 0
+        return range(count - min(within, count // 3), count)
 
 
-def learn_sight(drives: Sequence[Taught]) -> Sight | None:  # complexipy: ignore
-    """Learn the target at the ends of some drives; None if nothing there stands out from their ways.
+class _Patch(NamedTuple):
+    """The target in one view of the approach."""
 
-    The approach is each drive's last `TargetConfig.approach_s`, at most its last third; the rest is the way.
-    """
-    way = [
-        (d, k)
-        for d, one in enumerate(drives)
-        for k in range(len(one.pictures))
-        if k not in _approach(one)
+    cells: Float32s  # Cells of the small picture, (60, 80, 27).
+    mask: Bools  # Cells of the target.
+    left_s: float
+
+
+class _Way:
+    """Views of the way before the approach, and some of their cells."""
+
+    def __init__(self, drives: Sequence[Taught], config: TargetConfig) -> None:
+        views = [(d, k) for d, one in enumerate(drives) for k in range(one.approach(config).start)]
+        views = [views[k] for k in evenly(len(views), _VIEWS)]
+        self.cells = [cells_of(drives[d].pictures[k], 2) for d, k in views]
+        self.codes = np.empty((0, NUMBERS), dtype=np.float32)
+        for cells in self.cells:
+            self.codes = np.concatenate([self.codes, _spread(cells, _CODES, self.codes)])
+        # Two drives are never at the same place at the same time.
+        times = np.array([1e6 * d + drives[d].left_s[k] for d, k in views])
+        self._apart = np.abs(times[:, None] - times) >= config.beside_s
+        counts = [min(_CODES, cells.shape[0] * cells.shape[1]) for cells in self.cells]
+        self._view = np.repeat(np.arange(len(views)), counts)
+
+    def elsewhere(self, number: int) -> Float32s:
+        """Return the codes outside the neighbourhood of a view."""
+        return np.asarray(self.codes[self._apart[number][self._view]])
+
+    def compared(self, target: Float32s, beside: Float32s) -> list[Compared]:
+        """Compare each view with the target and with all other views, without its neighbourhood."""
+
+        def compare(number: int) -> Compared:
+            others = np.concatenate([self.elsewhere(number), beside])
+            return Compared.of(self.cells[number], target, others)
+
+        return list(in_parallel(compare, range(len(self.cells))))
+
+    def stands_out(self, share: float) -> float:
+        """Return the distance from the rest of the way that this share of its cells is below."""
+        numbers = range(len(self.cells))
+        apart = in_parallel(lambda k: nearest(self.cells[k], self.elsewhere(k)), numbers)
+        distances = np.concatenate([each.ravel() for each in apart])
+        return float(np.quantile(distances, share))
+
+
+def learn_sight(drives: Sequence[Taught], config: TargetConfig = TARGET_CONFIG) -> Sight | None:
+    """Learn the target at the ends of some drives; None if nothing there stands out from their ways."""
+    way = _Way(drives, config)
+    patches = _tracked(drives, way, config) if len(way.cells) >= 4 else []
+    if len(patches) < 2:
+        return None
+    parts = [patch.cells[patch.mask] for patch in patches]
+    parts = [cells[evenly(len(cells), _TARGET)] for cells in parts]
+    beside = np.concatenate([_spread(p.cells[~p.mask], _BESIDE, way.codes) for p in patches])
+    target = np.concatenate(parts)
+    others = np.concatenate([way.codes, beside])
+    windows = _windows(patches)
+    elsewhere = way.compared(target, beside)
+    here = [
+        Compared.of(patch.cells[::2, ::2], _without(parts, k), others)
+        for k, patch in enumerate(patches)
     ]
-    way = [way[k] for k in evenly(len(way), TARGET_CONFIG.explaining)]
-    if len(way) < 4:
+    found = [each.window(windows) for each in here]
+    scores = [window.score for window in found]
+    usual = [each.window(windows).score for each in elsewhere]
+    evidence = Evidence.fit(scores, usual, config.sure)
+    if evidence is None:
         return None
-    codes, of = _codes([drives[d].pictures[k] for d, k in way])
-    pictures = [drives[d].pictures[k] for d, k in way]
-    times = np.array([1e6 * d + drives[d].left_s[k] for d, k in way])
-    beside = np.abs(times[:, None] - times[None, :]) < TARGET_CONFIG.beside_s
-
-    def elsewhere(number: int) -> NDArray[np.bool_]:
-        """Return the codes of the way outside the neighbourhood of a view."""
-        return np.asarray(~beside[number][of])
-
-    unlike = in_parallel(
-        lambda k: nearest(cells_of(pictures[k], 2), codes[elsewhere(k)]), range(len(pictures))
-    )
-    new = np.concatenate([one.ravel() for one in unlike])
-    new = new[np.isfinite(new)]
-    if not new.size:
-        return None
-    stands_out, far = (
-        float(one) for one in np.quantile(new, (TARGET_CONFIG.stands_out, TARGET_CONFIG.far))
-    )
-    each = in_parallel(
-        lambda one: list(_patches(one, codes, stands_out)), [one for one in drives if one.ends]
-    )
-    patches = [patch for some in each for patch in some]
-    patches = _lasting([patches[k] for k in evenly(len(patches), TARGET_CONFIG.explaining)])
-    if not patches:
-        return None
-    others = np.concatenate(
-        [codes, *(_spread(cells[~mask], _BESIDE, codes) for cells, mask, _ in patches)]
-    )
-    sought = [cells[mask] for cells, mask, _ in patches]
-    sought = [one[evenly(len(one), _SOUGHT)] for one in sought]
-    sizes = np.array([np.ptp(np.argwhere(mask), axis=0) + 2 for _, mask, _ in patches]) // 2
-    sizes = np.maximum(sizes, _LEAST)
-    chosen = np.argsort(sizes.prod(axis=1))[evenly(len(sizes), TARGET_CONFIG.sizes)]
-    windows = np.unique(sizes[chosen], axis=0).astype(np.int32)
-    rest = [
-        np.concatenate([*sought[:k], *sought[k + 1 :]])
-        for k in range(len(sought))
-        if len(sought) > 1
-    ]
-    without_it = zip(patches, rest, strict=False)
-    left_out = list(
-        in_parallel(lambda one: speaking(one[0].cells[::2, ::2], one[1], others, far), without_it)
-    )
-    found = [best_window(one, windows) for one in left_out]
-    every = np.concatenate(sought)
-    added = others[len(codes) :]
-
-    def score_elsewhere(k: int) -> float:
-        known = np.concatenate([codes[elsewhere(k)], added])
-        return best_window(speaking(cells_of(pictures[k], 2), every, known, far), windows).score
-
-    elsewhere_scores = list(in_parallel(score_elsewhere, range(len(pictures))))
-    ratio = _ratio(np.array([one.score for one in found]), np.array(elsewhere_scores))
-    if ratio is None:
-        return None
-    sums = np.array([float(one.sum()) for one in left_out])
-    lows = np.array([one.low for one in found])
-    # Where none of the last views is left, the nearest one is that in which it is largest.
-    at_end = [k for k, patch in enumerate(patches) if patch.last] or [int(sums.argmax())]
-    size = float(np.median(sums[at_end]))
-    low = float(np.median(lows[at_end]))
-    # A level camera sees what looks half as large half as far from the middle; another one, or another thing, may not.
-    large = np.sqrt(sums / (size or 1.0))
-    far_off = lows / (low or 1.0)
-    small = (large > 0.0) & (large < 0.5)
-    if (
-        abs(low) < TARGET_CONFIG.low
-        or not small.any()
-        or not 0.0 < far_off[small].mean() < 1.5 * large[small].mean()
-    ):
-        low = 0.0
-    codes_of = every.astype(np.float16), others.astype(np.float16)
-    return Sight(*codes_of, windows, far, ratio, size, low) if size > 0.0 else None
+    # Further away the target has hardly a cell.
+    clear = [k for k, score in enumerate(scores) if score > evidence.most]
+    extents = [here[k].extent(found[k], evidence.usual) for k in clear]
+    left_s = np.array([patches[k].left_s for k in clear])
+    sizes, lows, _ = np.array(extents).T
+    distance = Distance.fit(left_s, sizes, lows, config.end_s)
+    unlike = max(each.unlike for each in elsewhere)
+    codes = target.astype(np.float16), others.astype(np.float16)
+    return Sight(*codes, windows, unlike, evidence, distance)
 
 
-def learn_word(drives: Sequence[Taught]) -> Word | None:  # complexipy: ignore
+def _tracked(drives: Sequence[Taught], way: _Way, config: TargetConfig) -> list[_Patch]:
+    """Return the target in the views of all approaches."""
+    stands_out = way.stands_out(config.stands_out)
+    if not np.isfinite(stands_out):
+        return []
+    each = in_parallel(lambda one: list(_patches(one, way.codes, stands_out, config)), drives)
+    patches = [patch for of_drive in each for patch in of_drive]
+    return _lasting([patches[k] for k in evenly(len(patches), _VIEWS)])
+
+
+def learn_word(drives: Sequence[Taught], config: TargetConfig = TARGET_CONFIG) -> Word | None:
     """Learn the label that detectors find at the ends of drives and not on their ways; None without any.
 
     Of several labels, the last views decide, in the drawn box if any; then the size.
     """
-    last = [
-        [
-            found
-            for k in _approach(one)
-            if one.left_s[k] <= TARGET_CONFIG.same_moment_s
-            for found in one.detected[k]
-            if area(found) > 0.0 and (one.box is None or _middle_in(found, one.box))
-        ]
-        for one in drives
-    ]
-    words: list[tuple[float, Word]] = []
-    for label in sorted({found.label for each in last for found in each}):
-        scores = [np.array([best(view, label)[0] for view in one.detected]) for one in drives]
-        here = np.concatenate(
-            [each[_approach(one)] for one, each in zip(drives, scores, strict=True)]
-        )
-        shows = [
-            _shows(one, each, here.mean() / 2.0) for one, each in zip(drives, scores, strict=True)
-        ]
-        elsewhere = np.concatenate(
-            [each[:first] for first, each in zip(shows, scores, strict=True)]
-        )
-        ratio = _ratio(here, elsewhere) if elsewhere.size else None
-        if ratio is not None:
-            of_it = [[found for found in each if found.label == label] for each in last]
-            told = sum(
-                float(np.interp(found.score, SCORES, ratio)) for each in of_it for found in each
-            )
-            size = float(np.median([area(each[-1]) for each in of_it if each]))
-            words.append((told, Word(label, size, ratio)))
-    return max(words, key=lambda each: (each[0], each[1].size))[1] if words else None
+    last = [found for one in drives for found in _last_detections(one, config)]
+    words: list[tuple[float, float, Word]] = []
+    for label in sorted({found.label for found in last}):
+        evidence = _evidence_of(label, drives, config)
+        if evidence is not None:
+            of_it = [found for found in last if found.label == label]
+            told = sum(evidence.log_ratio(found.score) for found in of_it)
+            size = float(np.median([area(found) for found in of_it]))
+            words.append((told, size, Word(label, size, evidence)))
+    return max(words, key=lambda each: each[:2])[2] if words else None
 
 
-def _shows(one: Taught, scores: NDArray[np.float64], least: float) -> int:
+def _evidence_of(label: str, drives: Sequence[Taught], config: TargetConfig) -> Evidence | None:
+    """Calibrate the scores of a label."""
+    here: list[float] = []
+    elsewhere: list[float] = []
+    for one in drives:
+        scores = [best(view, label)[0] for view in one.detected]
+        here += scores[one.approach(config).start :]
+        elsewhere += scores[: _first_view(one, scores, config)]
+    return Evidence.fit(here, elsewhere, config.sure)
+
+
+def _last_detections(one: Taught, config: TargetConfig) -> Iterator[Detection]:
+    """Yield the detections at the end of a drive, in its box if any."""
+    for k in one.approach(config):
+        if one.left_s[k] <= config.moment_s:
+            for found in one.detected[k]:
+                if area(found) > 0.0 and (one.box is None or _middle_in(found, one.box)):
+                    yield found
+
+
+def _first_view(one: Taught, scores: Sequence[float], config: TargetConfig) -> int:
     """Return the first view with a detection, across short gaps: on a straight way a tag can be read from far away."""
-    first = _approach(one).start
+    first = one.approach(config).start
+    least = float(np.mean(scores[first:] or [0.0])) / 2.0
     for k in reversed(range(first)):
         if scores[k] >= least:
             first = k
-        elif one.left_s[k] - one.left_s[first] > TARGET_CONFIG.beside_s:
+        elif one.left_s[k] - one.left_s[first] > config.beside_s:
             break
     return first
 
@@ -210,66 +205,70 @@ def _middle_in(found: Detection, box: Box) -> bool:
     return box[0] <= middle[0] <= box[2] and box[1] <= middle[1] <= box[3]
 
 
+def _without(parts: Sequence[Float32s], number: int) -> Float32s:
+    return np.concatenate([*parts[:number], *parts[number + 1 :]])
+
+
+def _windows(patches: Sequence[_Patch]) -> Int32s:
+    """Return sizes of windows: those of the target over the approach, in cells of every second row and column."""
+    sizes = np.array([np.ptp(np.argwhere(patch.mask), axis=0) + 2 for patch in patches]) // 2
+    sizes = np.maximum(sizes, _LEAST)
+    chosen = np.argsort(sizes.prod(axis=1))[evenly(len(sizes), SIZES)]
+    return np.unique(sizes[chosen], axis=0).astype(np.int32)
+
+
 def _lasting(patches: list[_Patch]) -> list[_Patch]:
     """Return patches without the cells that are more like the background of other views than like the target.
 
     In some views, the target can be in one piece with the object behind it.
     """
-    insides = [cells[mask] for cells, mask, _ in patches]
-    besides = [cells[::2, ::2][~mask[::2, ::2]] for cells, mask, _ in patches]
+    if len(patches) < 2:
+        return patches
+    insides = [patch.cells[patch.mask] for patch in patches]
+    besides = [patch.cells[::2, ::2][~patch.mask[::2, ::2]] for patch in patches]
     found = []
-    for k, (cells, mask, last) in enumerate(patches):
-        if len(patches) > 1:
-            inside, beside = (
-                np.concatenate([*one[:k], *one[k + 1 :]]) for one in (insides, besides)
-            )
-            lasts = mask.copy()
-            lasts[mask] = nearest(cells[mask], inside) < nearest(cells[mask], beside)
-            if lasts.sum() < _FEWEST:
-                continue
-            mask = lasts  # noqa: PLW2901 - what is left of it
-        found.append(_Patch(cells, mask, last))
+    for k, patch in enumerate(patches):
+        inside = nearest(insides[k], _without(insides, k))
+        lasts = patch.mask.copy()
+        lasts[patch.mask] = inside < nearest(insides[k], _without(besides, k))
+        if lasts.sum() >= _FEWEST:
+            found.append(patch._replace(mask=lasts))
     return found
 
 
-def _approach(one: Taught) -> range:
-    count = len(one.pictures)
-    if not one.ends:
-        return range(count, count)
-    within = int((one.left_s <= TARGET_CONFIG.approach_s).sum())
-    return range(count - min(within, count // 3), count)
-
-
-def _patches(one: Taught, codes: NDArray[np.float32], stands_out: float) -> Iterator[_Patch]:
-    """Yield the views of the approach with the target, the last first, with their cells and the mask of the target."""
+def _patches(
+    one: Taught, codes: Float32s, stands_out: float, config: TargetConfig
+) -> Iterator[_Patch]:
+    """Yield the target in the views of the approach, the last view first."""
     known = np.empty((0, NUMBERS), dtype=np.float32)
     middle = np.array([np.nan, (SHAPE[1] - 1) / 2.0])
-    for k in reversed(_approach(one)):
+    for k in reversed(one.approach(config)):
         cells = cells_of(one.pictures[k])
         new = nearest(cells, codes)
+        above = new > stands_out
         if not len(known):
-            new_here = new > stands_out
-            mask = (
-                _piece(new_here, new - stands_out, middle)
-                if one.box is None
-                else _drawn(one.box, new_here)
-            )
+            mask = _first_mask(one.box, above, new - stands_out, middle)
             if mask is None:
                 return
         else:
             away = nearest(cells, known)
-            # Where it is drawn, what stands beside it is not of it, whatever piece it makes with it.
-            of_it = (new > stands_out) & ((one.box is None) | (away <= TARGET_CONFIG.like * new))
-            mask = _piece(of_it, np.maximum(new - away, 0.0), middle)
-            # What stands out and is not like what has been followed so far is something else.
-            if mask is None or (away[mask] > TARGET_CONFIG.like * new[mask]).mean() > 0.5:
+            alike = away < new
+            # Beside a drawn target, other new things can be in one piece with it.
+            above &= alike | (one.box is None)
+            mask = _piece(above, np.maximum(new - away, 0.0), middle)
+            if mask is None or alike[mask].mean() < 0.5:
                 continue
         known = np.concatenate([known, cells[mask]])
         middle = np.argwhere(mask).mean(axis=0)
-        yield _Patch(cells, mask, last=k == len(one.pictures) - 1)
+        yield _Patch(cells, mask, float(one.left_s[k]))
 
 
-def _drawn(box: Box, stands_out: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _first_mask(box: Box | None, above: Bools, weights: Float32s, middle: Floats) -> Bools | None:
+    """Return the target in the last view: in the drawn box, or the most central new piece."""
+    return _piece(above, weights, middle) if box is None else _drawn(box, above)
+
+
+def _drawn(box: Box, stands_out: Bools) -> Bools:
     """Return the cells in a box that stand out, or all of them if hardly any does."""
     inside = np.zeros(stands_out.shape, dtype=np.bool_)
     left, top, right, bottom = (round(share * SHAPE[(k + 1) % 2]) for k, share in enumerate(box))
@@ -277,64 +276,26 @@ def _drawn(box: Box, stands_out: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return inside & stands_out if (inside & stands_out).sum() >= _FEWEST else inside
 
 
-def _piece(
-    stands_out: NDArray[np.bool_], weights: NDArray[np.float32], middle: NDArray[np.float64]
-) -> NDArray[np.bool_] | None:
+def _piece(stands_out: Bools, weights: Float32s, middle: Floats) -> Bools | None:
     """Return the heaviest connected component of a mask, with more weight near a row and a column; None if empty."""
     import cv2  # noqa: PLC0415 - see `smal.features.resizing`
 
     count, labels, stats, middles = cv2.connectedComponentsWithStats(stands_out.astype(np.uint8))
     away = np.nan_to_num(middles[:, ::-1] - middle) / (SHAPE[1] / 4.0)
-    sums = np.bincount(labels.ravel(), weights.ravel(), minlength=count) * np.exp(
-        -0.5 * (away**2).sum(axis=1)
-    )
+    central = np.exp(-0.5 * (away**2).sum(axis=1))
+    sums = np.bincount(labels.ravel(), weights.ravel(), minlength=count) * central
     sums[stats[:, cv2.CC_STAT_AREA] < _FEWEST] = 0.0
     sums[0] = 0.0
     return np.asarray(labels == sums.argmax()) if sums.max() > 0.0 else None
 
 
-def _codes(pictures: Sequence[Image]) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-    """Return representative cells of some pictures, (n, 27), and the picture of each, (n,)."""
-    codes = np.empty((0, NUMBERS), dtype=np.float32)
-    of = []
-    for number, picture in enumerate(pictures):
-        taken = _spread(cells_of(picture, 2).reshape(-1, NUMBERS), _CODES, codes)
-        codes = np.concatenate([codes, taken])
-        of += [number] * len(taken)
-    return codes, np.array(of, dtype=np.intp)
-
-
-def _spread(
-    cells: NDArray[np.float32], most: int, codes: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _spread(cells: Float32s, most: int, codes: Float32s) -> Float32s:
     """Return the cells furthest from codes and from each other, in turn (Gonzalez 1985)."""
-    away = nearest(cells, codes)
-    taken = []
-    for _ in range(min(most, len(cells))):
+    flat = cells.reshape(-1, NUMBERS)
+    away = nearest(flat, codes)
+    taken: list[NDArray[np.float32]] = []
+    for _ in range(min(most, len(flat))):
         furthest = int(away.argmax())
-        taken.append(cells[furthest])
-        away = np.minimum(away, np.linalg.norm(cells - cells[furthest], axis=1))
+        taken.append(flat[furthest])
+        away = np.minimum(away, np.linalg.norm(flat - flat[furthest], axis=1))
     return np.array(taken, dtype=np.float32).reshape(-1, NUMBERS)
-
-
-def _ratio(here: NDArray[np.float64], elsewhere: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return the log ratio at `SCORES`; None if the target does not stand out from the way.
-
-    In view, a score is an unknown share of a score of the approach: light, viewpoint and occlusion reduce it.
-    Elsewhere scores are exponential. The predictive distribution of the next of n such scores, with an unknown mean,
-    is a Pareto distribution (Lomax).
-    """
-    if len(here) < 2:
-        return None
-    mean = max(float(elsewhere.mean()), TARGET_CONFIG.least_score * float(here.max()))
-    count = len(elsewhere)
-    shares = np.linspace(0.0, 1.0, 51)[1:]
-    edges = np.append(SCORES, 1.0 + SCORES[1]) - SCORES[1] / 2.0
-    p1 = np.histogram(np.multiply.outer(shares, here), edges)[0] / (shares.size * len(here))
-    p0 = (1.0 + SCORES / (count * mean)) ** (-count - 1.0)
-    ratio = log_ratio(p1, p0 / p0.sum())
-    least = math.log(
-        TARGET_CONFIG.false_seen * (1.0 - TARGET_CONFIG.in_view) / TARGET_CONFIG.in_view
-    )
-    tells = float(np.interp(here.max(), SCORES, ratio)) > least
-    return np.clip(ratio, math.log(MAP_CONFIG.hidden), 50.0) if tells else None

@@ -1,28 +1,55 @@
-"""Appearance of the target: a test of two hypotheses, calibrated on the taught views.
+"""Appearance of the target: the ratio of nearest distances, calibrated on the taught views.
 
-The filter estimates whether the robot has arrived; this test decides whether the target is in view. It is learned by
-`smal.sought.learning`. Each cell of a small picture supports the target as far as it is nearer to the target than to
-any other taught view. An unknown cell, unlike both, gives no evidence. The score of a view is the best mean of this
-support over a window. The sizes of windows are those of the target during the approach.
+A window of the picture is like the target if its cells are nearer to the target than to all other
+taught views. Its score is the logarithm of the ratio of both distances (Lowe 2004), summed over the
+window. An unknown window is far from both, so its score is about 0; cells of plain surfaces are near
+to both and hardly count. The sizes of windows are the sizes of the target during the approach.
 """
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.arrays import AnyArray, Float32s, Floats, Int32s
+from smal.arrays import AnyArray, Float32s, Int32s
 from smal.camera import Image
 from smal.features.resizing import SHAPE
-from smal.sought.score import SCORES, Said
+from smal.sought.distance import Distance
+from smal.sought.evidence import Evidence, Sighting
 
 NUMBERS: Final = 27  # A cell and its eight neighbours, in three colours.
+#: Number of window sizes.
+SIZES: Final = 4
 _MOST_CODES: Final = 16_384  # Maximum codes in a file; learning stores fewer.
-Codes = NDArray[np.float16]
-_ARRAYS: Final = ("sought", "others", "windows", "log_ratio")
+_ARRAYS: Final = ("target", "others", "windows")
+#: A distance that counts as 0: two colours differ by a byte value.
+_EQUAL: Final = 0.01
+
+
+@dataclass(frozen=True)
+class TargetConfig:
+    """Parameters of learning and detecting the target. Times are seconds of driving."""
+
+    #: Time before the end of a drive in which the target can be visible: from further away it is
+    #: smaller than a cell.
+    approach_s: float = 4.0
+    #: Time within which views show the same objects: as `approach_s`, without the last second.
+    beside_s: float = 3.0
+    #: Time, by the clock, within which views count as one.
+    moment_s: float = 0.5
+    #: Probability that a cell of the way is nearer to the rest of the way than a cell that stands
+    #: out: a target covers about a fiftieth of a view.
+    stands_out: float = 0.98
+    #: Probability from which the target counts as in view: a false report costs the search.
+    sure: float = 0.975
+    #: Usual distance from the end of a drive to its target, where the drive itself shows none.
+    end_s: float = 1.5
+
+
+TARGET_CONFIG: Final = TargetConfig()
 
 
 def cells_of(picture: Image, step: int = 1) -> Float32s:
@@ -47,145 +74,124 @@ def nearest(cells: Float32s, codes: AnyArray) -> Float32s:
     return np.asarray(distance.reshape(cells.shape[:-1]), dtype=np.float32)
 
 
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """A picture compared with the target and with all other views: distances of its cells."""
+
+    to_target: Float32s
+    to_others: Float32s
+
+    @classmethod
+    def of(cls, cells: Float32s, target: AnyArray, others: AnyArray) -> "Compared":
+        """Compare cells (rows, columns, 27)."""
+        return cls(nearest(cells, target) + _EQUAL, nearest(cells, others) + _EQUAL)
+
+    @property
+    def unlike(self) -> float:
+        """Distance from everything taught, of the quarter of the cells with the smallest distance."""
+        return float(np.quantile(np.minimum(self.to_target, self.to_others), 0.25))
+
+    def window(self, windows: Int32s) -> "Window":
+        """Return the window with the highest ratio."""
+        found = []
+        for rows, columns in windows.tolist():
+            ratio = _sums(self.to_others, rows, columns) / _sums(self.to_target, rows, columns)
+            row, column = divmod(int(ratio.argmax()), ratio.shape[1])
+            inside = slice(row, row + rows), slice(column, column + columns)
+            found.append(Window(math.log(float(ratio.max())), inside))
+        return max(found, key=lambda window: window.score)
+
+    def extent(self, window: "Window", usual: float) -> "Extent":
+        """Return the extent of the target, given the best window and its usual score.
+
+        The target covers the cells whose ratio is at least three quarters of the way from the usual
+        score to that of the window. Light and noise move both, so that they hardly change the size.
+        """
+        import cv2  # noqa: PLC0415 - see `smal.features.resizing`
+
+        ratio = np.log(cv2.blur(self.to_others, (3, 3)) / cv2.blur(self.to_target, (3, 3)))
+        best = float(ratio[window.inside].max())
+        above = ratio >= min(0.75 * window.score + 0.25 * usual, best)
+        inside = np.zeros_like(above)
+        inside[window.inside] = above[window.inside]
+        low, right = (np.argwhere(inside).mean(axis=0) + 0.5) / inside.shape - 0.5
+        return Extent(math.sqrt(above.sum()), float(low), -float(right))
+
+
 class Window(NamedTuple):
-    """Window of a picture with the most support for the target."""
+    """Window of a picture."""
 
-    #: Mean support of its cells, 0 to 1.
+    #: Log of the distance from the other views over the distance from the target.
     score: float
-    #: Left of the middle of the picture, as a share of the width, -0.5 to 0.5.
-    left: float
-    #: Centre of the support below the middle, as a share of the height, -0.5 to 0.5.
+    inside: tuple[slice, slice]
+
+
+class Extent(NamedTuple):
+    """Extent of the target in a picture."""
+
+    #: Root of the area, in cells.
+    size: float
+    #: Centre below, and left of, the middle of the picture, as shares of its height and width.
     low: float
-
-
-@dataclass(frozen=True)
-class TargetConfig:
-    """Parameters of learning and detecting the target."""
-
-    #: Time of driving before the end of a drive in which the target can be visible.
-    approach_s: float = 4.0
-    #: Time of driving within which views show the same objects.
-    beside_s: float = 3.0
-    #: Number of views of the way that are compared with others.
-    explaining: int = 60
-    #: Quantile of the distances of the way's cells from the rest of the way: a cell with a larger distance stands out.
-    stands_out: float = 0.98
-    #: The same, for the distance of an unlike cell.
-    far: float = 0.999
-    #: Distance of a cell from the tracked target, as a share of its distance from the way, within which it is alike.
-    like: float = 0.7
-    #: Number of window sizes.
-    sizes: int = 4
-    #: Contrast of a picture, of 255, below which it is blank.
-    plain: float = 4.0
-    #: Minimum of the mean score without the target in view, as a share of the best score of the approach: around the
-    #: end there are objects that the way does not show.
-    least_score: float = 0.025
-    #: Time within which views count as one.
-    same_moment_s: float = 0.5
-    #: Prior probability that the target is in view, for a robot that has arrived and looks around.
-    in_view: float = 0.2
-    #: Cost of a false report of the target, over the cost of continuing to look.
-    false_seen: float = 40.0
-    #: Height of the target below the middle of the view, at the end of the way, from which it indicates the distance.
-    low: float = 0.1
-
-
-TARGET_CONFIG: Final = TargetConfig()
+    left: float
 
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Codes of the target and of everything else, and the calibration of the score."""
+    """Codes of the target and of everything else, and the calibration of score and distance."""
 
     #: Cells (n, 27) of the target.
-    sought: Codes
+    target: NDArray[np.float16]
     #: Cells (m, 27) of all other taught views.
-    others: Codes
+    others: NDArray[np.float16]
     #: (s, 2) rows and columns of windows, in cells of every second row and column.
     windows: Int32s
-    #: Distance from which two cells are completely unlike.
-    far: float
-    #: (201,) log p(score | in view) - log p(score | not) at `SCORES`, ascending.
-    log_ratio: Floats
-    #: Sum of the support of all cells where the ways ended.
-    size: float
-    #: Height below the middle of the view there, as a share of the height, negative above; 0 if it does not indicate
-    #: the distance.
-    low: float = 0.0
+    #: Largest `Compared.unlike` of the way.
+    unlike: float
+    evidence: Evidence
+    distance: Distance
 
     def __post_init__(self) -> None:
         """Raise ValueError if the parts do not fit together: they can come from a file."""
-        codes = {"sought": self.sought, "others": self.others}
+        codes = {"target": self.target, "others": self.others}
         fits = {
-            name: cells.ndim == 2 and cells.shape[1] == NUMBERS and 0 < len(cells) <= _MOST_CODES
+            name: cells.ndim == 2
+            and cells.shape[1] == NUMBERS
+            and 0 < len(cells) <= _MOST_CODES
+            and cells.dtype.kind == "f"
+            and bool((np.abs(cells) < 1e3).all())
             for name, cells in codes.items()
         }
         windows = self.windows
-        fits |= {
-            "windows": windows.ndim == 2
+        fits["windows"] = (
+            windows.ndim == 2
             and windows.shape[1:] == (2,)
             and windows.dtype.kind == "i"
             and bool(((windows > 0) & (windows <= np.array(SHAPE) // 2)).all())
-            and 0 < len(windows) <= TARGET_CONFIG.sizes,
-            "far": 1e-6 < self.far < 1e3,
-            "size": 0.0 < self.size < 1e4,
-            "low": -0.5 <= self.low <= 0.5,
-            "log_ratio": self.log_ratio.shape == SCORES.shape
-            and bool((np.abs(self.log_ratio) < 1e3).all()),
-        }
+            and 0 < len(windows) <= SIZES
+        )
+        fits["unlike"] = 0.0 < self.unlike < 1e3
         wrong = [name for name, fit in fits.items() if not fit]
-        finite = all(
-            cells.dtype.kind == "f" and (np.abs(cells) < 1e3).all() for cells in codes.values()
-        )
-        if wrong or not finite:
-            raise ValueError(
-                f"the parts of the target do not fit together: {', '.join(wrong) or 'cells'}"
-            )
+        if wrong:
+            raise ValueError(f"the parts of the target do not fit together: {', '.join(wrong)}")
 
-    def says(self, picture: Image) -> Said | None:
-        """Return the evidence of a small picture; None for a blank picture."""
-        if float(picture.std()) < TARGET_CONFIG.plain:
-            return None
-        support = speaking(cells_of(picture, 2), self.sought, self.others, self.far)
-        found = best_window(support, self.windows)
-        log_ratio = float(np.interp(found.score, SCORES, self.log_ratio))
-        # An area falls with the square of the distance.
-        near = math.sqrt(float(support.sum()) / self.size)
-        # From another side less of the target looks alike. But for a level camera, an object at a fixed height moves
-        # away from the middle of the view as it comes nearer.
-        if self.low:
-            near = max(near, found.low / self.low)
-        return Said(log_ratio, near, found.left)
+    def look(self, picture: Image) -> Sighting:
+        """Return the evidence of a small picture."""
+        compared = Compared.of(cells_of(picture, 2), self.target, self.others)
+        window = compared.window(self.windows)
+        noise = max(1.0 - (self.unlike / compared.unlike) ** 2, 0.0)
+        extent = compared.extent(window, self.evidence.usual)
+        log_near, error = self.distance.log_near(extent.size, extent.low)
+        log_ratio = self.evidence.log_ratio(window.score, noise)
+        return Sighting(log_ratio, log_near, error, extent.left)
 
 
-def speaking(cells: Float32s, sought: AnyArray, others: AnyArray, far: float) -> Float32s:
-    """Return the support of each cell for the target, 0 to 1."""
-    to_target = np.minimum(nearest(cells, sought), far)
-    to_others = np.minimum(nearest(cells, others), far)
-    support: Float32s = np.maximum(to_others - to_target, 0.0) / far
-    return support
-
-
-def best_window(speaks: Float32s, windows: Int32s) -> Window:
-    """Return the window of the highest mean; its score is 0 without any support."""
-    total = np.pad(speaks, ((1, 0), (1, 0))).cumsum(axis=0, dtype=np.float64).cumsum(axis=1)
-    best = Window(0.0, 0.0, 0.0)
-    for rows, columns in windows.tolist():
-        inside = (
-            total[rows:, columns:]
-            - total[:-rows, columns:]
-            - total[rows:, :-columns]
-            + total[:-rows, :-columns]
-        )
-        mean = float(inside.max()) / (rows * columns)
-        if mean > best.score:
-            row, column = divmod(int(inside.argmax()), inside.shape[1])
-            by_row = speaks[row : row + rows, column : column + columns].sum(axis=1)
-            middle = row + 0.5 + float(by_row @ np.arange(rows) / by_row.sum())
-            left = 0.5 - (column + columns / 2.0) / speaks.shape[1]
-            best = Window(mean, left, middle / speaks.shape[0] - 0.5)
-    return best._replace(score=min(best.score, 1.0))
+def _sums(cells: Float32s, rows: int, columns: int) -> NDArray[np.float64]:
+    """Return the sum over each window of so many rows and columns."""
+    total = np.pad(cells, ((1, 0), (1, 0))).cumsum(axis=0, dtype=np.float64).cumsum(axis=1)
+    below = total[rows:, columns:] - total[rows:, :-columns]
+    above = total[:-rows, columns:] - total[:-rows, :-columns]
+    return np.asarray(below - above)
 
 
 def content_of_sights(
@@ -195,7 +201,8 @@ def content_of_sights(
     meta = []
     arrays = dict[str, AnyArray]()
     for number, (goal, sight) in enumerate(sights.items()):
-        meta.append({"goal": goal, "far": sight.far, "size": sight.size, "low": sight.low})
+        calibration = {"evidence": asdict(sight.evidence), "distance": asdict(sight.distance)}
+        meta.append({"goal": goal, "unlike": sight.unlike} | calibration)
         arrays |= {f"{name} {number}": getattr(sight, name) for name in _ARRAYS}
     return meta, arrays
 
@@ -206,6 +213,9 @@ def sights_of_content(meta: list[dict[str, Any]], arrays: dict[str, AnyArray]) -
     for number, part in enumerate(meta):
         parts = {name: arrays.pop(f"{name} {number}") for name in _ARRAYS}
         sights[str(part["goal"])] = Sight(
-            far=part["far"], size=part["size"], low=part["low"], **parts
+            **parts,
+            unlike=part["unlike"],
+            evidence=Evidence(**part["evidence"]),
+            distance=Distance(**part["distance"]),
         )
     return sights

@@ -3,15 +3,19 @@
 import math
 from collections import deque
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from smal.camera import Image
 from smal.features.detectors import Detection
-from smal.sought.score import Said
-from smal.sought.sight import TARGET_CONFIG, Sight
+from smal.sought.distance import combined
+from smal.sought.evidence import NOTHING, Sighting
+from smal.sought.sight import TARGET_CONFIG, Sight, TargetConfig
 from smal.sought.word import Word
+
+#: Contrast of a picture, of 255, below which it is blank: the noise of a camera in the dark.
+_BLANK: Final = 4.0
 
 
 class Glimpse(NamedTuple):
@@ -28,43 +32,57 @@ class Glimpse(NamedTuple):
 class Witness:
     """Estimates for each view whether the target is in view, by its appearance, its detections, or both."""
 
-    def __init__(self, sight: Sight | None, word: Word | None = None) -> None:
+    def __init__(
+        self, sight: Sight | None, word: Word | None = None, config: TargetConfig = TARGET_CONFIG
+    ) -> None:
         self._sight = sight
         self._word = word
+        self._moment_s = config.moment_s
         self.reset()
 
     def reset(self) -> None:
         """Start a new episode."""
-        self._said = deque[tuple[float, Said]]()
+        self._recent = deque[tuple[float, Sighting]]()
 
     def look(
-        self, picture: Image, time_s: float = 0.0, detected: Iterable[Detection] = ()
+        self,
+        picture: Image,
+        time_s: float = 0.0,
+        detected: Iterable[Detection] = (),
+        place: tuple[float, float] | None = None,
     ) -> Glimpse:
-        """Process a small picture at a time in ascending order. A hidden view gives no evidence."""
-        said = self._says(picture, detected)
-        near = 0.0
-        left = None
-        if said is not None:
-            self._said.append((time_s, said))
-            while self._said[0][0] < time_s - 0.99 * TARGET_CONFIG.same_moment_s:
-                self._said.popleft()
-            near = float(np.mean([recent.near for _, recent in self._said]))
-            left = said.left if said.log_ratio > 0.0 else None
-        # Views of one moment are not independent: together they count as one.
-        mean = 0.0
-        if self._said:
-            mean = float(np.mean([recent.log_ratio for _, recent in self._said]))
-        prior = TARGET_CONFIG.in_view / (1.0 - TARGET_CONFIG.in_view)
-        odds = prior * math.exp(min(mean, 50.0))
-        return Glimpse(odds / (1.0 + odds), near, left)
+        """Process a small picture at a time in ascending order. A blank view gives no evidence.
 
-    def _says(self, picture: Image, detected: Iterable[Detection]) -> Said | None:
+        `place` is the robot's distance from the end of the drive, and its error, in seconds of driving.
+        """
+        latest = None
+        if float(picture.std()) >= _BLANK:
+            latest = self._sighting(picture, detected)
+            self._recent.append((time_s, latest))
+            while self._recent[0][0] < time_s - 0.99 * self._moment_s:
+                self._recent.popleft()
+        if not self._recent:
+            return Glimpse(0.5, 0.0)
+        # Views of one moment are not independent: together they count as one.
+        mean = float(np.mean([sighting.log_ratio for _, sighting in self._recent]))
+        probability = 1.0 / (1.0 + math.exp(-mean))
+        if latest is None or latest.log_ratio <= 0.0:
+            return Glimpse(probability, 0.0)
+        return Glimpse(probability, self._near(place), latest.left)
+
+    def _near(self, place: tuple[float, float] | None) -> float:
+        """Return the joint estimate of the distance from the views of this moment, and from the place."""
+        seen = [sighting for _, sighting in self._recent if sighting.log_ratio > 0.0]
+        log_near = float(np.mean([sighting.log_near for sighting in seen]))
+        estimates = [(log_near, seen[-1].error)]
+        if self._sight is not None and place is not None:
+            estimates.append(self._sight.distance.log_near_of_place(*place))
+        return math.exp(combined(*estimates)[0])
+
+    def _sighting(self, picture: Image, detected: Iterable[Detection]) -> Sighting:
         """Return the joint evidence: log ratios add up, and the stronger evidence gives the position."""
-        if self._sight is None:
-            patch = None if float(picture.std()) < TARGET_CONFIG.plain else Said(0.0, 0.0, 0.0)
-        else:
-            patch = self._sight.says(picture)
-        if patch is None or self._word is None:
-            return patch
-        word = self._word.says(detected)
-        return max(patch, word)._replace(log_ratio=patch.log_ratio + word.log_ratio)
+        found = [] if self._sight is None else [self._sight.look(picture)]
+        if self._word is not None:
+            found.append(self._word.look(detected))
+        strongest = max(found, default=NOTHING)
+        return strongest._replace(log_ratio=sum(each.log_ratio for each in found))

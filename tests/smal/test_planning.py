@@ -142,6 +142,36 @@ def test_goal_is_found_only_when_the_target_is_seen() -> None:
     assert planner.said == "found"
 
 
+def looked_around(planner: Planner, *places: tuple[int, float, float, float]) -> None:
+    """Look around, at one place after the other."""
+    for number in range(120):
+        here = belief(places[number * len(places) // 120], tracked=0.0, lost=0.6)
+        planner.decide(here, seen=Glimpse(0.0, 0.0))
+
+
+LAST = (len(STRAIGHT.keyframes) - 1, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("before", "arrived"), [((LAST, (10, 0.0, 0.0, 0.0)), False), ((LAST,), True)]
+)
+def test_look_around_counts_at_its_own_place(
+    before: tuple[tuple[int, float, float, float], ...], arrived: bool
+) -> None:
+    planner = Planner(STRAIGHT)
+    looked_around(planner, *before)
+    planner.decide(belief(LAST, tracked=0.0), seen=Glimpse(0.99, 1.1, 0.0))
+    assert planner.said == ("found" if arrived else None)
+
+
+def test_robot_must_track_its_way_when_it_has_no_target() -> None:
+    planner = Planner(STRAIGHT)
+    looked_around(planner, LAST)
+    for tracked, said in ((0.1, None), (3.0, "found")):
+        planner.decide(belief(LAST, tracked=tracked))
+        assert planner.said == said
+
+
 def test_search_is_not_confused_by_similar_places() -> None:
     planner = Planner(STRAIGHT)
     planner.decide(END, seen=Glimpse(0.0, near=0.0))

@@ -122,6 +122,19 @@ def test_new_obstacle_is_not_the_target(robot: str) -> None:
         assert planner.said == said
 
 
+def test_robot_waits_when_a_person_hides_the_target() -> None:
+    planner = Planner(map_of(16.0))
+    person: list[Box] = [(1.2, -0.3, 1.6, 0.3, 1.7)]
+    end = belief((160, 0.0, 0.0, 0.0))
+    hidden = looks([], [], [], [], *[person] * 3)
+    waits = [planner.decide(end, seen=Glimpse(0.1, 0.0), around=hidden) for _ in range(40)]
+    assert {decision.motion for decision in waits[1:]} == {(0.0, 0.0)}
+    assert planner.said is None
+    planner.decide(end, 0.5, seen=Glimpse(0.99, 1.1, 0.0), around=looks([]))
+    planner.decide(end, 0.5, seen=Glimpse(0.99, 1.1, 0.0), around=looks([]))
+    assert planner.said == "found"
+
+
 def test_search_ends_when_a_thing_stands_before_the_target() -> None:
     planner = Planner(map_of(16.0))
     made = looks([(0.5, -0.4, 0.8, 0.4, 1.7)])

@@ -12,6 +12,7 @@ from smal import Model, Robot
 from smal.camera import Image
 from smal.features.resizing import SHAPE
 from smal.files.container import ModelError
+from smal.planning.config import PLANNER_CONFIG
 from smal.sought.learning import Taught, learn_sight
 from smal.sought.sight import Sight
 from smal.sought.witness import Witness
@@ -97,11 +98,33 @@ def test_target_is_near_when_it_is_as_large_as_taught() -> None:
     assert near[2] > 0.9
 
 
+@pytest.mark.parametrize("gain", [0.35, 0.7, 1.6])
+def test_target_is_found_near_when_the_light_differs(gain: float) -> None:
+    light = np.clip(gain * view(STEPS - 1.4, ORANGE, BLUE).astype(float), 0, 255).astype(np.uint8)
+    glimpse = Witness(sight()).look(light)
+    assert glimpse.probability > PLANNER_CONFIG.in_view
+    assert glimpse.near == pytest.approx(1.0, abs=0.2)
+
+
+def test_noise_is_no_evidence_when_all_is_unlike() -> None:
+    rng = np.random.default_rng(0)
+    views = (view(step) // 8 + rng.integers(0, 24, (*SHAPE, 3)) for step in range(0, STEPS, 4))
+    seen = [Witness(sight()).look(each.astype(np.uint8)).probability for each in views]
+    assert max(seen) < 0.5
+
+
+def test_place_corrects_the_distance_when_the_target_is_small() -> None:
+    far = view(STEPS - 6, ORANGE, BLUE)
+    by_view, at_end, before = (
+        Witness(sight()).look(far, place=place).near for place in (None, (0.0, 0.1), (3.0, 0.1))
+    )
+    assert before < by_view < at_end < 1.0
+
+
 def test_a_hidden_view_is_no_evidence() -> None:
     witness = Witness(sight())
     hidden = np.full((*SHAPE, 3), 30, np.uint8)
-    before = witness.look(hidden).probability
-    assert 0.1 < before < 0.5
+    assert witness.look(hidden).probability == 0.5
     found = witness.look(view(STEPS - 1.4, ORANGE, BLUE)).probability
     assert witness.look(hidden).probability == found > 0.99
 
@@ -114,14 +137,7 @@ def test_no_target_is_learned_when_nothing_stands_out() -> None:
 
 def test_parts_that_do_not_fit_are_refused_by_name() -> None:
     with pytest.raises(ValueError, match="do not fit together: windows"):
-        Sight(
-            sight().sought,
-            sight().others,
-            np.array([[0, 99]], np.int32),
-            sight().far,
-            sight().log_ratio,
-            9.0,
-        )
+        replace(sight(), windows=np.array([[0, 99]], np.int32))
 
 
 def test_robot_reports_not_here_when_its_target_is_missing(tmp_path: Path) -> None:
@@ -138,10 +154,10 @@ def test_robot_reports_not_here_when_its_target_is_missing(tmp_path: Path) -> No
 
 def test_file_is_refused_when_its_target_does_not_fit(tmp_path: Path) -> None:
     harmed = replace(model(), sights={"victim": sight()})
-    vars(harmed.sights["victim"])["far"] = -1.0
+    vars(harmed.sights["victim"])["unlike"] = -1.0
     try:
         harmed.save(tmp_path / "way.smal")
     finally:
         sight.cache_clear()
-    with pytest.raises(ModelError, match="the target do not fit together: far"):
+    with pytest.raises(ModelError, match="the target do not fit together: unlike"):
         Model.load(tmp_path / "way.smal")
