@@ -117,12 +117,8 @@ class Newness:
     A view is compared with the last view that was counted in full. A moving robot also sees other
     places: half of the correlation of two views comes from the places, which change with the way.
     Therefore many small changes add up to one new view. A view that comes back, or noise while the
-    robot stands, adds none.
-
-    Attributes
-    ----------
-    kept : float
-        Share of the view before that remains, 0 to 1, without the change by the turn.
+    robot stands, adds none. A turn changes a view fast, but a place that resembles the scene goes on
+    resembling it: a turn counts as `VisualMap.repeated` measures it.
     """
 
     def __init__(self, visual_map: VisualMap) -> None:
@@ -130,12 +126,9 @@ class Newness:
         self._counted = self._last = np.zeros(len(visual_map.basis), dtype=np.float32)
         self._used = 0.0
         self._step = np.zeros(3)
-        self._move = np.zeros(3)
-        self.kept = 0.0
 
     def move(self, step: Floats) -> None:
         """Follow the robot by a step: ahead, left, turned (3,)."""
-        self._move = step
         self._step = placed(step, self._step)
 
     def of(self, centred: Float32s) -> float:
@@ -148,7 +141,6 @@ class Newness:
         if like_last < self._map.next_correlation:
             # The earlier views showed another scene.
             self._used = 0.0
-        self.kept = self._without_turn(like_last, self._move)
         self._last = centred
         like_counted = correlation(float(centred @ self._counted))
         same = self._without_turn(like_counted, self._step) * self._map.repeated(self._step[2])
@@ -288,8 +280,6 @@ class Filter:
         if self._started:
             self._jump(seen, movement)
             self._move(movement, noise, seen.newness)
-            for particles in filter(None, (self._tracked, self._jumped)):
-                particles.counted *= self._newness.kept if seen.spread > 0.0 else 1.0
             if self._sure is not None:
                 drive, pose, reach = self._sure
                 reach += self._config.slip * abs(movement.ahead)
@@ -432,7 +422,6 @@ class Filter:
         correction = (new / whole).ravel()[drawn]
         scouts.weights = correction / correction.sum()
         scouts.shares = shares
-        scouts.counted[:] = seen.newness
         # The pace belongs to the robot, wherever it is.
         weights = self._tracked.weights
         scouts.pace = self._rng.choice(self._tracked.pace, drawn.size, p=weights / weights.sum())

@@ -35,9 +35,6 @@ class FilterConfig:
     light: float = 0.02
     #: Scatter of the heading at every new view: cameras shake.
     jitter_deg: float = 1.0
-    #: Maximum number of views of one spot that count: the first view, and half a view for all turned views.
-    #: In untaught scenes, places that look alike stay alike over most of a turn.
-    spot: float = 1.5
     #: Way without a view after which the odometry has half its confidence.
     blind: float = 2.0
     #: Probability from which scouts are drawn near a place after a jump.
@@ -107,8 +104,6 @@ class Particles:
         self.weights = np.full(count, 1.0 / count)
         #: Standard deviations by which the robot is faster than reported.
         self.pace = np.zeros(count)
-        #: Number of views of this spot that have counted.
-        self.counted = np.zeros(count)
         #: Probability of each visible share (`smal.likelihood.SHARES`) in the next view.
         hidden = visual_map.config.hidden
         self.shares = (1.0 - hidden) * ANY_DAY + hidden * (SHARES == 0.0)
@@ -181,11 +176,7 @@ class Particles:
         return seen_from(self.poses, self._map.key_poses[self.keyframes])
 
     def update(self, seen: ViewEvidence, rng: np.random.Generator) -> float:
-        """Weigh by a view; return its mean likelihood ratio here to elsewhere.
-
-        What resembles a place goes on resembling it while the robot turns. Therefore the views of
-        one spot that look at taught views count only up to a limit (`FilterConfig.spot`).
-        """
+        """Weigh by a view; return its mean likelihood ratio here to elsewhere."""
         found, beyond = self.interpolated(seen.components)
         z = seen.stands_out(found)
         likelihood = self._map.likelihood
@@ -193,13 +184,10 @@ class Particles:
         # Far aside of the views is like elsewhere. A robot that looks away from all taught views gets no evidence.
         aside = log_ratio[1:] - 2.0 * np.square(beyond)
         log_ratio[1:] = np.maximum(aside, likelihood.log_ratio[1:, :1])
-        looks = self.looks()
-        log_ratio *= looks
+        log_ratio *= self.looks()
         shown = self.shares[1:] / self.shares[1:].sum()
         self.speaks = float(shown @ np.exp(log_ratio[1:]) @ self.weights)
-        newness = np.clip(self._config.spot - self.counted, 0.0, seen.newness)
-        self.counted += newness * looks
-        joint = self.shares[:, None] * np.exp(newness * log_ratio) * self.weights
+        joint = self.shares[:, None] * np.exp(seen.newness * log_ratio) * self.weights
         total = float(joint.sum())
         self.weights = joint.sum(axis=0) / total
         shares = joint.sum(axis=1) / total
@@ -271,7 +259,6 @@ class Particles:
         joined = cls(parts[0]._map, keyframes, poses, parts[0]._config)
         joined.tracked = np.concatenate([part.tracked for part in parts])
         joined.pace = np.concatenate([part.pace for part in parts])
-        joined.counted = np.concatenate([part.counted for part in parts])
         weighted = zip(parts, shares, strict=True)
         joined.weights = np.concatenate([part.weights * share for part, share in weighted])
         weighted = zip(parts, shares, strict=True)
@@ -285,7 +272,6 @@ class Particles:
         self.poses = self.poses[which]
         self.tracked = self.tracked[which]
         self.pace = self.pace[which]
-        self.counted = self.counted[which]
         self.weights = np.full(which.size, 1.0 / which.size)
         return self
 
