@@ -87,5 +87,5 @@ class Evidence:
         """
         scatter = self.most - self.usual
         rate = math.log1p(self.views) / _OTHER_LIGHT
-        beyond = max(score - self.usual * (1.0 - noise), 0.0) / scatter
+        beyond = max((1.0 - noise) * score - self.usual, 0.0) / scatter
         return rate * beyond - math.log(rate * max((self.best - self.usual) / scatter, 1.0))

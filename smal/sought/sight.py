@@ -26,7 +26,7 @@ SIZES: Final = 4
 _MOST_CODES: Final = 16_384  # Maximum codes in a file; learning stores fewer.
 _ARRAYS: Final = ("target", "others", "windows")
 #: A distance that counts as 0: two colours differ by a byte value.
-_EQUAL: Final = 0.01
+_EQUAL: Final = 0.1
 
 
 @dataclass(frozen=True)
@@ -92,13 +92,14 @@ class Compared:
         return float(np.quantile(np.minimum(self.to_target, self.to_others), 0.25))
 
     def window(self, windows: Int32s) -> "Window":
-        """Return the window with the highest ratio."""
+        """Return the window with the highest score."""
+        support = np.maximum(np.log(self.to_others / self.to_target), 0.0)
         found = []
         for rows, columns in windows.tolist():
-            ratio = _sums(self.to_others, rows, columns) / _sums(self.to_target, rows, columns)
-            row, column = divmod(int(ratio.argmax()), ratio.shape[1])
+            mean = _sums(support, rows, columns) / (rows * columns)
+            row, column = divmod(int(mean.argmax()), mean.shape[1])
             inside = slice(row, row + rows), slice(column, column + columns)
-            found.append(Window(math.log(float(ratio.max())), inside))
+            found.append(Window(float(mean.max()), inside))
         return max(found, key=lambda window: window.score)
 
     def extent(self, window: "Window", usual: float) -> "Extent":
