@@ -82,8 +82,8 @@ class Evidence:
         ----------
         score : float
         noise : float
-            Share of the distances in this view that is due to noise, 0 to 1. Noise makes all
-            distances alike: it moves the logarithm of their ratio to 0.
+            Share of the distances in this view that is due to noise, 0 to 1. That share of the score
+            is no evidence.
         """
         scatter = self.most - self.usual
         rate = math.log1p(self.views) / _OTHER_LIGHT

@@ -161,15 +161,19 @@ def learn_word(drives: Sequence[Taught], config: TargetConfig = TARGET_CONFIG) -
     Of several labels, the last views decide, in the drawn box if any; then the size.
     """
     last = [found for one in drives for found in _last_detections(one, config)]
-    words: list[tuple[float, float, Word]] = []
-    for label in sorted({found.label for found in last}):
-        evidence = _evidence_of(label, drives, config)
-        if evidence is not None:
-            of_it = [found for found in last if found.label == label]
-            told = float(np.sum([evidence.log_ratio(found.score) for found in of_it]))
-            size = float(np.median([area(found) for found in of_it]))
-            words.append((told, size, Word(label, size, evidence)))
+    words = [
+        _word(label, evidence, [found for found in last if found.label == label])
+        for label in sorted({found.label for found in last})
+        if (evidence := _evidence_of(label, drives, config)) is not None
+    ]
     return max(words, key=lambda each: each[:2])[2] if words else None
+
+
+def _word(label: str, evidence: Evidence, last: Sequence[Detection]) -> tuple[float, float, Word]:
+    """Return the evidence of the last detections of a label, their largest size, and its word."""
+    told = float(np.sum([evidence.log_ratio(found.score) for found in last]))
+    size = max(area(found) for found in last)
+    return told, size, Word(label, size, evidence)
 
 
 def _evidence_of(label: str, drives: Sequence[Taught], config: TargetConfig) -> Evidence | None:
