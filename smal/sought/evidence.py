@@ -82,10 +82,10 @@ class Evidence:
         ----------
         score : float
         noise : float
-            Share of the distances in this view that is due to noise, 0 to 1. Noise makes all
-            distances alike: it moves the logarithm of their ratio to 0.
+            Share of the distances in this view that is due to noise, 0 to 1. That share of the score
+            is no evidence.
         """
         scatter = self.most - self.usual
         rate = math.log1p(self.views) / _OTHER_LIGHT
-        beyond = max(score - self.usual * (1.0 - noise), 0.0) / scatter
+        beyond = max((1.0 - noise) * score - self.usual, 0.0) / scatter
         return rate * beyond - math.log(rate * max((self.best - self.usual) / scatter, 1.0))

@@ -80,6 +80,10 @@ class _Way:
         self.codes = np.empty((0, NUMBERS), dtype=np.float32)
         for cells in self.cells:
             self.codes = np.concatenate([self.codes, _spread(cells, _CODES, self.codes)])
+        # Just before the approach, the target can already be in view.
+        first_s = config.approach_s + config.beside_s
+        without = [n for n, (d, k) in enumerate(views) if drives[d].left_s[k] >= first_s]
+        self._without = without or range(len(views))
         # Two drives are never at the same place at the same time.
         times = np.array([1e6 * d + drives[d].left_s[k] for d, k in views])
         self._apart = np.abs(times[:, None] - times) >= config.beside_s
@@ -91,13 +95,13 @@ class _Way:
         return np.asarray(self.codes[self._apart[number][self._view]])
 
     def compared(self, target: Float32s, beside: Float32s) -> list[Compared]:
-        """Compare each view with the target and with all other views, without its neighbourhood."""
+        """Compare views without the target with it and with all other views but their neighbourhood."""
 
         def compare(number: int) -> Compared:
             others = np.concatenate([self.elsewhere(number), beside])
             return Compared.of(self.cells[number], target, others)
 
-        return list(in_parallel(compare, range(len(self.cells))))
+        return list(in_parallel(compare, self._without))
 
     def stands_out(self, share: float) -> float:
         """Return the distance from the rest of the way that this share of its cells is below."""
@@ -157,15 +161,19 @@ def learn_word(drives: Sequence[Taught], config: TargetConfig = TARGET_CONFIG) -
     Of several labels, the last views decide, in the drawn box if any; then the size.
     """
     last = [found for one in drives for found in _last_detections(one, config)]
-    words: list[tuple[float, float, Word]] = []
-    for label in sorted({found.label for found in last}):
-        evidence = _evidence_of(label, drives, config)
-        if evidence is not None:
-            of_it = [found for found in last if found.label == label]
-            told = sum(evidence.log_ratio(found.score) for found in of_it)
-            size = float(np.median([area(found) for found in of_it]))
-            words.append((told, size, Word(label, size, evidence)))
+    words = [
+        _word(label, evidence, [found for found in last if found.label == label])
+        for label in sorted({found.label for found in last})
+        if (evidence := _evidence_of(label, drives, config)) is not None
+    ]
     return max(words, key=lambda each: each[:2])[2] if words else None
+
+
+def _word(label: str, evidence: Evidence, last: Sequence[Detection]) -> tuple[float, float, Word]:
+    """Return the evidence of the last detections of a label, their largest size, and its word."""
+    told = float(np.sum([evidence.log_ratio(found.score) for found in last]))
+    size = max(area(found) for found in last)
+    return told, size, Word(label, size, evidence)
 
 
 def _evidence_of(label: str, drives: Sequence[Taught], config: TargetConfig) -> Evidence | None:

@@ -1,9 +1,9 @@
 """Appearance of the target: the ratio of nearest distances, calibrated on the taught views.
 
-A window of the picture is like the target if its cells are nearer to the target than to all other
-taught views. Its score is the logarithm of the ratio of both distances (Lowe 2004), summed over the
-window. An unknown window is far from both, so its score is about 0; cells of plain surfaces are near
-to both and hardly count. The sizes of windows are the sizes of the target during the approach.
+Each cell of a small picture supports the target by the logarithm of the ratio of its distances from
+all other taught views and from the target (Lowe 2004), if it is nearer to the target. An unknown cell
+is far from both, and a plain one near to both, so that neither counts. The score of a view is the best
+mean over a window. The sizes of windows are the sizes of the target during the approach.
 """
 
 import math
@@ -25,8 +25,8 @@ NUMBERS: Final = 27  # A cell and its eight neighbours, in three colours.
 SIZES: Final = 4
 _MOST_CODES: Final = 16_384  # Maximum codes in a file; learning stores fewer.
 _ARRAYS: Final = ("target", "others", "windows")
-#: A distance that counts as 0: two colours differ by a byte value.
-_EQUAL: Final = 0.01
+#: Distance by noise and compression, added to both distances: a fifteenth of a cell's usual length.
+_EQUAL: Final = 0.1
 
 
 @dataclass(frozen=True)
@@ -92,26 +92,27 @@ class Compared:
         return float(np.quantile(np.minimum(self.to_target, self.to_others), 0.25))
 
     def window(self, windows: Int32s) -> "Window":
-        """Return the window with the highest ratio."""
+        """Return the window with the highest score."""
+        support = np.maximum(np.log(self.to_others / self.to_target), 0.0)
         found = []
         for rows, columns in windows.tolist():
-            ratio = _sums(self.to_others, rows, columns) / _sums(self.to_target, rows, columns)
-            row, column = divmod(int(ratio.argmax()), ratio.shape[1])
+            mean = _sums(support, rows, columns) / (rows * columns)
+            row, column = divmod(int(mean.argmax()), mean.shape[1])
             inside = slice(row, row + rows), slice(column, column + columns)
-            found.append(Window(math.log(float(ratio.max())), inside))
+            found.append(Window(float(mean.max()), inside))
         return max(found, key=lambda window: window.score)
 
     def extent(self, window: "Window", usual: float) -> "Extent":
         """Return the extent of the target, given the best window and its usual score.
 
-        The target covers the cells whose ratio is at least three quarters of the way from the usual
-        score to that of the window. Light and noise move both, so that they hardly change the size.
+        The target covers the cells whose ratio is above the middle between the usual score and
+        that of the window. Light and noise move both, so that they hardly change the size.
         """
         import cv2  # noqa: PLC0415 - see `smal.features.resizing`
 
         ratio = np.log(cv2.blur(self.to_others, (3, 3)) / cv2.blur(self.to_target, (3, 3)))
         best = float(ratio[window.inside].max())
-        above = ratio >= min(0.75 * window.score + 0.25 * usual, best)
+        above = ratio >= min((window.score + usual) / 2.0, best)
         inside = np.zeros_like(above)
         inside[window.inside] = above[window.inside]
         low, right = (np.argwhere(inside).mean(axis=0) + 0.5) / inside.shape - 0.5
@@ -121,7 +122,7 @@ class Compared:
 class Window(NamedTuple):
     """Window of a picture."""
 
-    #: Log of the distance from the other views over the distance from the target.
+    #: Mean log of the distance from the other views over the distance from the target.
     score: float
     inside: tuple[slice, slice]
 
@@ -212,10 +213,9 @@ def sights_of_content(meta: list[dict[str, Any]], arrays: dict[str, AnyArray]) -
     sights = {}
     for number, part in enumerate(meta):
         parts = {name: arrays.pop(f"{name} {number}") for name in _ARRAYS}
+        evidence = Evidence(**part["evidence"])
+        distance = Distance(**part["distance"])
         sights[str(part["goal"])] = Sight(
-            **parts,
-            unlike=part["unlike"],
-            evidence=Evidence(**part["evidence"]),
-            distance=Distance(**part["distance"]),
+            unlike=part["unlike"], evidence=evidence, distance=distance, **parts
         )
     return sights

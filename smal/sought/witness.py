@@ -80,9 +80,12 @@ class Witness:
         return math.exp(combined(*estimates)[0])
 
     def _sighting(self, picture: Image, detected: Iterable[Detection]) -> Sighting:
-        """Return the joint evidence: log ratios add up, and the stronger evidence gives the position."""
+        """Return the joint evidence: log ratios add up, and the strongest evidence gives the direction."""
         found = [] if self._sight is None else [self._sight.look(picture)]
         if self._word is not None:
             found.append(self._word.look(detected))
         strongest = max(found, default=NOTHING)
-        return strongest._replace(log_ratio=sum(each.log_ratio for each in found))
+        visible = [each for each in found if each.log_ratio > 0.0] or [strongest]
+        log_near, error = combined(*((each.log_near, each.error) for each in visible))
+        log_ratio = sum(each.log_ratio for each in found)
+        return Sighting(log_ratio, log_near, error, strongest.left)

@@ -144,8 +144,8 @@ def test_goal_is_found_only_when_the_target_is_seen() -> None:
 
 def looked_around(planner: Planner, *places: tuple[int, float, float, float]) -> None:
     """Look around, at one place after the other."""
-    for number in range(120):
-        here = belief(places[number * len(places) // 120], tracked=0.0, lost=0.6)
+    for number in range(105):
+        here = belief(places[number * len(places) // 105], tracked=0.0, lost=0.6)
         planner.decide(here, seen=Glimpse(0.0, 0.0))
 
 
