@@ -41,7 +41,7 @@ class PitchConfig:
     #: Prior probability that the camera has changed.
     changed: float = 0.01
     #: Probability from which a pitch replaces the present pitch.
-    clear: float = 0.99
+    clear: float = 0.95
     #: Probability of being near one place, and not lost, from which a view is compared.
     certain: float = 0.9
     #: Way, in correlation lengths, over which older evidence loses half of its weight.

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from smal.arrays import Bools, Float32s, Floats, Indices
-from smal.obstacles.occupancy import GRID_CONFIG, GridConfig, Look, Occupancy
+from smal.obstacles.occupancy import GRID_CONFIG, DepthLook, GridConfig, Occupancy
 
 
 class Mount(NamedTuple):
@@ -231,7 +231,7 @@ class Surroundings:
         np.maximum.at(top_m, (cells[0][hits], cells[1][hits]), self.seen.top_m[hits])
         passed = inside & (ahead < self.seen.free_m[column] - self.cell_m / 2.0)
         lowest_m = mount.height_m - ahead * self.seen.falls
-        look = Look(
+        look = DepthLook(
             hit=top_m > 0.0,
             passed=passed,
             top_m=top_m,

@@ -50,7 +50,7 @@ GRID_CONFIG: Final = GridConfig()
 
 
 @dataclass(frozen=True)
-class Look:
+class DepthLook:
     """Evidence of one depth image for each cell (n, n).
 
     Attributes
@@ -124,7 +124,7 @@ class Occupancy:
         self._stands_s[cells] = np.inf if occupied else 0.0
         self._height_m[cells] = height_m
 
-    def add(self, look: Look, stays: Bools, tolerance_m: float) -> None:
+    def add(self, look: DepthLook, stays: Bools, tolerance_m: float) -> None:
         """Add a look; the cells ``stays`` forget no obstacle that has come.
 
         ``tolerance_m`` is the tolerance of heights.
@@ -150,7 +150,7 @@ class Occupancy:
         gone = cells & (self._log_odds < self._hit / 2.0)
         self.assume(gone, occupied=False, height_m=np.inf)
 
-    def _learn_heights(self, look: Look, passed: Bools, before: Bools) -> None:
+    def _learn_heights(self, look: DepthLook, passed: Bools, before: Bools) -> None:
         now = self.occupied
         top_m = np.where(before, self._height_m, 0.0)
         free_m = np.where(before, np.inf, self._height_m)

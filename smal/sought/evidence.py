@@ -37,7 +37,7 @@ NOTHING: Final = Sighting(0.0, 0.0, 1e3, 0.0)
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ScoreEvidence:
     """Calibration of a score."""
 
     #: Median score of the way without the target.
@@ -60,7 +60,7 @@ class Evidence:
     @classmethod
     def fit(
         cls, here: Sequence[float], elsewhere: Sequence[float], sure: float
-    ) -> "Evidence | None":
+    ) -> "ScoreEvidence | None":
         """Calibrate on scores of the last views, and of the way.
 
         Returns None if a view like the last ones is not recognised with the probability `sure`.

@@ -20,7 +20,7 @@ from smal.features.extraction import in_parallel
 from smal.features.resizing import SHAPE
 from smal.likelihood import evenly
 from smal.sought.distance import Distance
-from smal.sought.evidence import Evidence
+from smal.sought.evidence import ScoreEvidence
 from smal.sought.sight import (
     NUMBERS,
     SIZES,
@@ -131,7 +131,7 @@ def learn_sight(drives: Sequence[Taught], config: TargetConfig = TARGET_CONFIG) 
     found = [each.window(windows) for each in here]
     scores = [window.score for window in found]
     usual = [each.window(windows).score for each in elsewhere]
-    evidence = Evidence.fit(scores, usual, config.sure)
+    evidence = ScoreEvidence.fit(scores, usual, config.sure)
     if evidence is None:
         return None
     # Further away the target has hardly a cell.
@@ -169,14 +169,18 @@ def learn_word(drives: Sequence[Taught], config: TargetConfig = TARGET_CONFIG) -
     return max(words, key=lambda each: each[:2])[2] if words else None
 
 
-def _word(label: str, evidence: Evidence, last: Sequence[Detection]) -> tuple[float, float, Word]:
+def _word(
+    label: str, evidence: ScoreEvidence, last: Sequence[Detection]
+) -> tuple[float, float, Word]:
     """Return the evidence of the last detections of a label, their largest size, and its word."""
     told = float(np.sum([evidence.log_ratio(found.score) for found in last]))
     size = max(area(found) for found in last)
     return told, size, Word(label, size, evidence)
 
 
-def _evidence_of(label: str, drives: Sequence[Taught], config: TargetConfig) -> Evidence | None:
+def _evidence_of(
+    label: str, drives: Sequence[Taught], config: TargetConfig
+) -> ScoreEvidence | None:
     """Calibrate the scores of a label."""
     here: list[float] = []
     elsewhere: list[float] = []
@@ -184,7 +188,7 @@ def _evidence_of(label: str, drives: Sequence[Taught], config: TargetConfig) -> 
         scores = [best(view, label)[0] for view in one.detected]
         here += scores[one.approach(config).start :]
         elsewhere += scores[: _first_view(one, scores, config)]
-    return Evidence.fit(here, elsewhere, config.sure)
+    return ScoreEvidence.fit(here, elsewhere, config.sure)
 
 
 def _last_detections(one: Taught, config: TargetConfig) -> Iterator[Detection]:

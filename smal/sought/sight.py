@@ -18,7 +18,7 @@ from smal.arrays import AnyArray, Float32s, Int32s
 from smal.camera import Image
 from smal.features.resizing import SHAPE
 from smal.sought.distance import Distance
-from smal.sought.evidence import Evidence, Sighting
+from smal.sought.evidence import ScoreEvidence, Sighting
 
 NUMBERS: Final = 27  # A cell and its eight neighbours, in three colours.
 #: Number of window sizes.
@@ -149,7 +149,7 @@ class Sight:
     windows: Int32s
     #: Largest `Compared.unlike` of the way.
     unlike: float
-    evidence: Evidence
+    evidence: ScoreEvidence
     distance: Distance
 
     def __post_init__(self) -> None:
@@ -213,7 +213,7 @@ def sights_of_content(meta: list[dict[str, Any]], arrays: dict[str, AnyArray]) -
     sights = {}
     for number, part in enumerate(meta):
         parts = {name: arrays.pop(f"{name} {number}") for name in _ARRAYS}
-        evidence = Evidence(**part["evidence"])
+        evidence = ScoreEvidence(**part["evidence"])
         distance = Distance(**part["distance"])
         sights[str(part["goal"])] = Sight(
             unlike=part["unlike"], evidence=evidence, distance=distance, **parts

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from smal.arrays import AnyArray
 from smal.features.detectors import LONGEST, Detection
-from smal.sought.evidence import NOTHING, Evidence, Sighting
+from smal.sought.evidence import NOTHING, ScoreEvidence, Sighting
 
 #: Relative error of the size of a box: a network's box can be cut by the edge of the view.
 _SIZE_ERROR: Final = 0.1
@@ -24,7 +24,7 @@ class Word:
     label: str
     #: Size of its box where the ways ended, as a share of the view.
     size: float
-    evidence: Evidence
+    evidence: ScoreEvidence
 
     def __post_init__(self) -> None:
         """Raise ValueError if the parts do not fit together: they can come from a file."""
@@ -71,6 +71,6 @@ def words_of_content(
 ) -> dict[str, Word]:
     """Build the words of goals from a file; LookupError, TypeError or ValueError if the content is invalid."""
     return {
-        str(part["goal"]): Word(part["label"], part["size"], Evidence(**part["evidence"]))
+        str(part["goal"]): Word(part["label"], part["size"], ScoreEvidence(**part["evidence"]))
         for part in meta
     }

@@ -14,7 +14,7 @@ from services.kit.model_service import LoadedModel
 from services.kit.node import ServiceError
 from services.recognition.service import RecognitionService
 from smal.obstacles.strange import Ground
-from smal.sought.evidence import Evidence
+from smal.sought.evidence import ScoreEvidence
 from smal.sought.word import Word
 from tests import corridor
 from tests.places import estimate
@@ -72,7 +72,7 @@ Box = tuple[float, float, float, float]
 @pytest.fixture
 def detecting(tmp_path: Path) -> RecognitionService:
     """Give recognition whose target wears a tag."""
-    tells = Word("apriltag 7", 0.04, Evidence(0.0, 0.1, 1.0, 60))
+    tells = Word("apriltag 7", 0.04, ScoreEvidence(0.0, 0.1, 1.0, 60))
     replace(corridor.model(), words={"victim": tells}).save(tmp_path / "way.smal")
     return with_model(RecognitionService(), tmp_path / "way.smal")
 

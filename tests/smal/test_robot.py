@@ -14,6 +14,7 @@ from smal.features import extract
 from smal.files.container import ModelError
 from smal.movement import Motion
 from smal.paper.robot import PaperRobot
+from smal.planning import Planner
 from smal.robot import Localizer
 from smal.teaching.demonstration import Demonstration
 from smal.teaching.mapping import learn
@@ -125,4 +126,6 @@ def test_following_features_needs_no_opencv(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
     )
-    assert done.stdout == "(1.0, 0.0)\n", done.stderr
+    belief = Localizer(model()).observe(np.load(tmp_path / "seen.npy"), (0.0, 0.0, 0.0))
+    expected = Planner(model().mapped).decide(belief.summary()).motion
+    assert done.stdout == f"{expected}\n", done.stderr
