@@ -69,6 +69,8 @@ class State(Message):
     """
     unseen_m: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """Distance since a view last confirmed the robot's place, metres (filter only)."""
+    support: Annotated[float | None, Field(ge=0, le=1e9)] = None
+    """Sum of the evidence since the start, or since the robot was last lost (filter only)."""
     camera: Literal["sees", "blank", "frozen"] = "sees"
     """State of the camera: blank has no texture, frozen stays the same while the wheels move."""
     seen: Annotated[float | None, Field(ge=0, le=1)] = None

@@ -25,6 +25,7 @@ def fields_of(located: Located) -> dict[str, Any]:
         "tracked_m": belief.tracked,
         "evidence": belief.evidence,
         "unseen_m": belief.unseen,
+        "support": min(belief.support, 1e9),
         "camera": belief.camera,
     }
     if located.seen is not None:
@@ -47,6 +48,7 @@ def belief_of(state: State) -> Belief:
         evidence=state.evidence,
         unseen=state.unseen_m,
         camera=state.camera,
+        support=math.inf if state.support is None else state.support,
     )
 
 
