@@ -239,7 +239,7 @@ class Person:
 
         while True:
             until(lambda: self.detail["lacks"] is None)
-            if stop := int(str(self.detail["emergency_stop"] or 0)):
+            if stop := int(str(self.detail["latched_stop"] or 0)):
                 bus.call("robot", "arm", ArmRequest(stop=stop), Nothing)
             try:
                 return self.client.run(request, on_begin=on_begin, done=done)

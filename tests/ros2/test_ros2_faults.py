@@ -68,9 +68,9 @@ class Driven:
         if not detail:
             return False
         with suppress(RpcError):
-            if detail["emergency_stop"]:
+            if detail["latched_stop"]:
                 self.bus.call(
-                    "robot", "arm", ArmRequest(stop=int(str(detail["emergency_stop"]))), Nothing
+                    "robot", "arm", ArmRequest(stop=int(str(detail["latched_stop"]))), Nothing
                 )
             if detail["episode"] is None:
                 request = ResetRequest(seed=1, driver="expert", mode="realtime", max_ticks=100_000)

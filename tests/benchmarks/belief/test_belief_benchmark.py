@@ -10,7 +10,7 @@ from tests.benchmarks.route import FRAME_M, SPACING_M, map_of
 
 METRES = 60.0
 #: Runs that are carried away from where the wheels lead; the fourth into another world.
-NUMBERS = {"as it is": (1, 4, 5), "without scouts": (1, 5), "lost only far from every way": (4,)}
+NUMBERS = {"as it is": (1, 4, 5), "without scouts": (1, 5)}
 
 
 @pytest.fixture(scope="module")
@@ -57,4 +57,3 @@ def test_what_is_left_out_is_missed(
         name: np.concatenate([one.lost[~one.known] for one in runs]) for name, runs in found.items()
     }
     assert lost["as it is"].max() > 0.9
-    assert lost["lost only far from every way"].max() < 0.01

@@ -61,7 +61,7 @@ def test_kidnapped_robot_keeps_its_odometry(physical: bool) -> None:
     assert carried == simulation.pose == again.carry_away()
     assert math.hypot(carried.x - before.x, carried.y - before.y) > 1.0
     now = simulation.look().odometry
-    assert now.pose == wheels.pose
+    assert now[:3] == wheels[:3]
     for one in (simulation, again):
         one.advance(KEYS["forward"], 0.2)
     assert simulation.pose == again.pose

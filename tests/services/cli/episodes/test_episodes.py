@@ -56,7 +56,7 @@ class FakeSimulator:
         if self.judge == "operator" and self.begun:
             Timer(0.2, self.end, (found,)).start()
         return {
-            "stop_cause": self.stop_cause, "emergency_stop": 7, "attended": self.attended,
+            "stop_cause": self.stop_cause, "latched_stop": 7, "attended": self.attended,
             "judge": self.judge, "operator": True,
         }  # fmt: skip
 
