@@ -17,19 +17,18 @@ import numpy as np
 from scipy.special import stdtrit
 
 from smal.arrays import Bools, Float32s, Floats, Indices, Int8s
-from smal.camera import STRAIGHT, Camera, Image, Scene, remapped
+from smal.camera import Camera, Image, Scene, remapped
 from smal.features import extract
 from smal.features.extraction import in_parallel, looked_at
 from smal.features.resizing import fitted
 from smal.files.packed import packed, unpacked
-from smal.likelihood import evenly, over, scale
+from smal.likelihood import over, scale
 from smal.map import VisualMap
 from smal.model import Model
 from smal.movement import Atom, Movement, dead_reckoning, seen_from
 from smal.planning import Planner
 from smal.planning.config import PLANNER_CONFIG
 from smal.robot import Localizer
-from smal.teaching.calibration import CALIBRATION_CONFIG
 from smal.teaching.demonstration import Demonstration, check_features, drives_to_goals
 from smal.teaching.mapping import virtual_poses
 
@@ -118,12 +117,12 @@ def _near(taught: VisualMap, key: int) -> Bools:
 def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
     """Return the model with new view variants from unexpected views of runs, at most one a keyframe.
 
-    Without such views it is the same model. Runs without a camera are ignored.
+    A view is unexpected if it is evidence against the certain place where it was seen. Without such
+    views it is the same model. Runs without a camera are ignored.
     """
     nearest: dict[int, tuple[float, Demonstration, int, Floats]] = {}
     views_of: dict[int, list[Float32s]] = {}
     taught = model.mapped
-    usual = _usually_says(model.mapped)
     for run in runs:
         if run.camera is None:
             continue
@@ -135,7 +134,7 @@ def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
             views_of.setdefault(key, []).append(view)
             off = taught.lengths(Movement(math.hypot(*offset[:2]), float(offset[2])))
             nearest_off = nearest[key][0] if key in nearest else _LOOK_FROM
-            if followed.says[frame] < usual / 2.0 and off < nearest_off:
+            if followed.says[frame] < 0.0 and off < nearest_off:
                 nearest[key] = off, run, frame, offset
     if not nearest:
         return model
@@ -150,18 +149,6 @@ def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
     kept = np.delete(keys, np.array(rows, dtype=np.intp) - first)
     grown = replace(taught, views=np.delete(views, rows, axis=0), looks=kept.astype(np.int32))
     return replace(model, mapped=grown)
-
-
-def _usually_says(taught: VisualMap) -> float:
-    """Return the median log likelihood ratio of the view of a keyframe at the keyframe before it."""
-    keys = np.flatnonzero(np.diff(taught.key_drives) == 0)
-    keys = keys[evenly(keys.size, CALIBRATION_CONFIG.most_frames)]
-    views = unpacked(taught.views[keys, 1, STRAIGHT])
-    after = unpacked(taught.views[keys + 1, 1, STRAIGHT])
-    z = []
-    for view, following in zip(views, after, strict=True):
-        z.append(over(view @ following, *scale(taught.sample @ following)))
-    return float(np.median(taught.likelihood.of(np.array(z))))
 
 
 def _look(model: Model, run: Demonstration, frame: int, offset: Floats) -> Int8s:
