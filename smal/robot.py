@@ -148,6 +148,7 @@ class Localizer:
         near = beside(self._map, best, self._map.config.neighbours)
         share = float(belief.weights[np.isin(belief.keyframes, near)].sum())
         certainty = (1.0 - belief.lost) * share
+        picture = picture if belief.camera == "sees" else None
         self._pitch.compare(picture, best, certainty, self._map.lengths(self._movement))
 
     def seen(

@@ -147,8 +147,11 @@ class Occupancy:
 
     def _forget(self, cells: Bools, elapsed_s: float) -> None:
         self._log_odds[cells] *= 0.5 ** (elapsed_s / self._config.forgets_s)
+        # Out of view, what has left and what stands there are alike: the cell is unknown, not free.
         gone = cells & (self._log_odds < self._hit / 2.0)
-        self.assume(gone, occupied=False, height_m=np.inf)
+        self._log_odds[gone] = 0.0
+        self._stands_s[gone] = np.inf
+        self._height_m[gone] = np.inf
 
     def _learn_heights(self, look: DepthLook, passed: Bools, before: Bools) -> None:
         now = self.occupied

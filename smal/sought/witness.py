@@ -77,7 +77,7 @@ class Witness:
         estimates = [(log_near, seen[-1].error)]
         if self._sight is not None and place is not None:
             estimates.append(self._sight.distance.log_near_of_place(*place))
-        return math.exp(combined(*estimates)[0])
+        return min(math.exp(combined(*estimates)[0]), 1e3)
 
     def _sighting(self, picture: Image, detected: Iterable[Detection]) -> Sighting:
         """Return the joint evidence: log ratios add up, and the strongest evidence gives the direction."""
