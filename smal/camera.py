@@ -151,18 +151,17 @@ class Scene:
     distance: float
 
     def warp(
-        self, image: Image, ahead: float = 0.0, left: float = 0.0, turn_rad: float = 0.0
+        self, image: Image, step: Sequence[float], view: tuple[int, int] | None = None
     ) -> Image:
-        """Return the view from a pose ahead and left of the camera, and turned left.
+        """Return the view from a pose beside the camera.
 
         Parameters
         ----------
         image : array (height, width, 3)
-        ahead, left : float
-            Step, in the unit of the scene.
-        turn_rad : float
+        step, view
+            As in `maps`.
         """
-        return remapped(image, self.maps(image.shape[:2], (ahead, left, turn_rad)))
+        return remapped(image, self.maps(image.shape[:2], step, view))
 
     def maps(
         self,

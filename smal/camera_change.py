@@ -151,8 +151,8 @@ class CameraPitch:
         some = range(done, min(done + self._config.in_a_frame, count))
         pictures = [self._warped(comparing.picture, number) for number in some]
         raw = np.stack([extract(view, self._centering.settings) for view in pictures])
-        components = self._centering.apply(raw) @ self._map.basis
-        comparing.scores += [self._log_likelihood(row, comparing.views) for row in components]
+        described = map(self._map.described, self._centering.apply(raw))
+        comparing.scores += [self._log_likelihood(row, comparing.views) for row in described]
         if len(comparing.scores) < count:
             return
         self._comparing = None
@@ -173,10 +173,8 @@ class CameraPitch:
         is_clear = best == self._held and log_odds[best] - log_odds[second] > clear
         self._apart = self._config.apart_lengths if is_clear else self._spacing
 
-    def _log_likelihood(self, row: Float32s, views: Float32s) -> float:
+    def _log_likelihood(self, components: Float32s, views: Float32s) -> float:
         """Return the log likelihood ratio of components (r,) near a place to elsewhere."""
-        length = float(np.linalg.norm(row))
-        components = row / length if length else row
         z = standing_out((views @ components).max(), self._map.sample @ components)
         return math.log(float(self._map.likelihood.mixed(ANY_DAY, z, 1.0)))
 

@@ -189,6 +189,7 @@ class Filter:
         self._spacing = visual_map.correlation_length / visual_map.config.views_a_length
         # Cached properties are computed here, so that the first frame does not wait.
         _ = visual_map.neighbour_cosines, visual_map.sample, visual_map.overview
+        _ = visual_map.repeated(0.0)
         self.reset()
 
     def reset(self, belief: Belief | None = None) -> None:

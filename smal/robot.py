@@ -145,9 +145,9 @@ class Localizer:
     def _compare(self, picture: Uint8s | None, belief: Belief) -> None:
         """Compare a small picture with the map, for the pitch of the camera."""
         best = int(belief.keyframes[0])
-        near = beside(self._map, best, self._map.config.neighbours)
-        share = float(belief.weights[np.isin(belief.keyframes, near)].sum())
-        certainty = (1.0 - belief.lost) * share
+        near = np.zeros(len(self._map.keyframes), dtype=np.bool_)
+        near[beside(self._map, best, self._map.config.neighbours)] = True
+        certainty = (1.0 - belief.lost) * belief.share(near)
         picture = picture if belief.camera == "sees" else None
         self._pitch.compare(picture, best, certainty, self._map.lengths(self._movement))
 
@@ -284,7 +284,8 @@ def surroundings(
 ) -> Surroundings | None:
     """Return the surroundings at an odometry pose, with a depth image and the mount of its camera.
 
-    `elapsed_s` is the time since the call before, seconds. They begin with the first mount. None if there was none.
+    `elapsed_s` is the time since the call before, seconds. The surroundings begin with the first
+    mount; they are None before it.
     """
     if depth is None:
         if before is not None:

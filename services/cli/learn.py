@@ -63,7 +63,8 @@ def learn(
             raise JobError(f"cannot learn from these recordings: {error}") from None
     for goal in sorted({*model.mapped.goals} - {*model.sights} - {*model.words}):
         echo(
-            f"{goal}: the end of the drive shows nothing particular; the robot reports it as found on arrival",
+            f"{goal}: the end of the drive shows nothing particular; the robot reports it as found"
+            " after it has tracked the way to its end",
             err=True,
         )
     lessons.finish(model, _found(model), teaching, began_s)

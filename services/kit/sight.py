@@ -17,7 +17,7 @@ class ObstacleSight:
         self.mount: Mount | None = None  # Position of the depth camera.
         self._episode = ""
         self._around: Surroundings | None = None
-        self._stamp_ns = 0  # Of the odometry at the last look.
+        self._stamp_ns = 0  # Stamp of the odometry at the last look.
 
     def roll(self, odometry: Odometry) -> None:
         """Store the pose by odometry."""
@@ -43,7 +43,7 @@ class ObstacleSight:
             self._around = None
         # If the image belongs to another frame, only the odometry is used.
         image = (depth.to_numpy() / 1000.0).astype(np.float32) if depth.tick == now.tick else None
-        elapsed_s = (now.stamp_ns - self._stamp_ns) / 1e9
+        elapsed_s = now.since(self._stamp_ns) or 0.0
         self._stamp_ns = now.stamp_ns
         self.mount = Mount(**depth.mounting.model_dump())
         self._around = surroundings(self._around, now.pose, (image, self.mount), elapsed_s)

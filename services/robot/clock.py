@@ -9,8 +9,8 @@ PULSE_S: Final = 0.05
 #: Time since its arrival at which a command expires, seconds. The robot must stand 0.5 s after the
 #: last command; the rest is for braking, see `services.robot.loop`.
 SILENCE_S: Final = 0.25
-#: Age of the last answered pulse or echo at which its sender counts as absent, seconds. Of this
-#: time the round trip of an answer has what one pulse leaves, 0.2 s.
+#: Age of the last answered pulse or echo at which its sender counts as absent, seconds. The
+#: round trip of an answer can take all of it but one pulse, 0.2 s.
 ABSENT_S: Final = 5 * PULSE_S
 
 

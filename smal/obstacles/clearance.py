@@ -355,7 +355,7 @@ class Surroundings:
         return float(near_m) - self.body_m - self.config.walks_m
 
     def things(self, most: int) -> Floats:
-        """Return at most so many places of obstacles, (n, 2) metres ahead and left."""
+        """Return the places of obstacles, at most `most` of them: (n, 2) metres ahead and left."""
         places = np.stack(self.seen_from(0.0), axis=-1)[self.occupied]
         return places[:: -(-len(places) // most) or 1]
 

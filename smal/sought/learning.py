@@ -69,6 +69,11 @@ class _Patch(NamedTuple):
     mask: Bools  # Cells of the target.
     left_s: float
 
+    def inside(self) -> Float32s:
+        """Return an even selection of the target's cells, (n, 27)."""
+        cells = self.cells[self.mask]
+        return cells[evenly(len(cells), _TARGET)]
+
 
 class _Way:
     """Views of the way before the approach, and some of their cells."""
@@ -117,8 +122,7 @@ def learn_sight(drives: Sequence[Taught], config: TargetConfig = TARGET_CONFIG) 
     patches = _tracked(drives, way, config) if len(way.cells) >= 4 else []
     if len(patches) < 2:
         return None
-    parts = [patch.cells[patch.mask] for patch in patches]
-    parts = [cells[evenly(len(cells), _TARGET)] for cells in parts]
+    parts = [patch.inside() for patch in patches]
     beside = np.concatenate([_spread(p.cells[~p.mask], _BESIDE, way.codes) for p in patches])
     target = np.concatenate(parts)
     others = np.concatenate([way.codes, beside])
@@ -136,9 +140,8 @@ def learn_sight(drives: Sequence[Taught], config: TargetConfig = TARGET_CONFIG) 
         return None
     # Further away the target has hardly a cell.
     clear = [k for k, score in enumerate(scores) if score > evidence.most]
-    extents = [here[k].extent(found[k], evidence.usual) for k in clear]
     left_s = np.array([patches[k].left_s for k in clear])
-    sizes, lows, _ = np.array(extents).T
+    sizes, lows, _ = np.array([here[k].extent(found[k], evidence.usual) for k in clear]).T
     distance = Distance.fit(left_s, sizes, lows, config.end_s)
     unlike = max(each.unlike for each in elsewhere)
     codes = target.astype(np.float16), others.astype(np.float16)

@@ -188,7 +188,7 @@ class Sight:
 
 
 def _sums(cells: Float32s, rows: int, columns: int) -> NDArray[np.float64]:
-    """Return the sum over each window of so many rows and columns."""
+    """Return the sum over each window of `rows` and `columns`."""
     total = np.pad(cells, ((1, 0), (1, 0))).cumsum(axis=0, dtype=np.float64).cumsum(axis=1)
     below = total[rows:, columns:] - total[rows:, :-columns]
     above = total[:-rows, columns:] - total[:-rows, :-columns]

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import isotonic_regression
 
 from smal.arrays import AnyArray, Bools, Float32s, Floats, Indices, Int8s, Int32s
-from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene, remapped
+from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
 from smal.features.extraction import in_parallel
 from smal.features.resizing import PIXELS, fitted
 from smal.files.packed import unpacked
@@ -161,7 +161,7 @@ def _best(
     def score(guess: tuple[Scene, float]) -> float:
         scene, unit = guess
         warped = (
-            _warped(scene, image, [unit * part for part in step], pixels)
+            scene.warp(image, [unit * part for part in step], fitted(image.shape, pixels))
             for image, step in zip(firsts, steps, strict=True)
         )
         predicted = describe(warped)
@@ -170,11 +170,6 @@ def _best(
     # OpenCV releases the interpreter's lock.
     scores = list(in_parallel(score, guesses))
     return guesses[int(np.argmax(scores))]
-
-
-def _warped(scene: Scene, image: Image, step: Sequence[float], pixels: tuple[int, int]) -> Image:
-    """Return the view a step ahead, left and turned from an image, as small as features need."""
-    return remapped(image, scene.maps(image.shape[:2], step, fitted(image.shape, pixels)))
 
 
 def _far(camera: Camera) -> Scene:
@@ -356,7 +351,8 @@ def _turns_undone(frames: TaughtFrames, camera: Camera, pairs: Indices) -> tuple
     def cosine(pair: tuple[int, int, float]) -> float:
         one, other, turn_rad = pair
         step = (0.0, 0.0, turn_rad)
-        turned = _warped(_far(camera), frames.images[one], step, frames.pixels)
+        image = frames.images[one]
+        turned = _far(camera).warp(image, step, fitted(image.shape, frames.pixels))
         (predicted,) = frames.describe([turned])
         (view,) = frames.centred([other])
         return float(predicted @ view)
@@ -375,7 +371,9 @@ def correlation_turn(frames: TaughtFrames, camera: Camera, unrelated: float) -> 
 
     def cosine(turn_rad: float) -> float:
         step = (0.0, 0.0, turn_rad)
-        turned = frames.describe(_warped(scene, image, step, frames.pixels) for image in images)
+        turned = frames.describe(
+            scene.warp(image, step, fitted(image.shape, frames.pixels)) for image in images
+        )
         return float((own * turned).sum(axis=1).mean())
 
     mean = np.array([1.0, *in_parallel(cosine, _TURNS_RAD)])

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from smal.arrays import Bools, Float32s, Floats, Indices, Int8s
-from smal.camera import Camera, Image, Scene, remapped
+from smal.camera import Camera, Image, Scene
 from smal.features import extract
 from smal.features.extraction import in_parallel, looked_at
 from smal.features.resizing import fitted
@@ -159,7 +159,7 @@ def _look(model: Model, run: Demonstration, frame: int, offset: Floats) -> Int8s
     steps = seen_from(np.array(virtual_poses(taught.aside)), offset).tolist()
     image = looked_at(image, model.feature_settings)
     shape = fitted(image.shape, model.feature_settings.pixels)
-    views = (remapped(image, scene.maps(image.shape[:2], step, shape)) for step in steps)
+    views = (scene.warp(image, step, shape) for step in steps)
     raw = np.stack([extract(view, model.feature_settings) for view in views])
     components = model.centering.apply(raw) @ taught.basis
     return packed(components).reshape(taught.views.shape[1:])

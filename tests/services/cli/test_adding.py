@@ -158,7 +158,7 @@ main()
 
 
 def limited(most: int, *arguments: object) -> tuple[int, Sequence[str]]:
-    """Run a command whose files may have so many bytes; return its status, and what it printed on standard error."""
+    """Run a command with a limit of the size of files; return its status and its standard error."""
     command = [sys.executable, "-c", _LIMITED.format(most=most), *map(str, arguments)]
     environment = os.environ | {
         "PYTHONDONTWRITEBYTECODE": "1"

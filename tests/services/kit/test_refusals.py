@@ -505,7 +505,7 @@ def test_flood_of_calls_is_dropped_while_stops_pass(
         heard = robot.declare_subscriber(STOP, zenoh.handlers.Callback(note, indirect=False))
         eventually(lambda: list(other.get(STATUS, timeout=100.0)))
         eventually(lambda: (other.put(STOP, b"first"), stops[0])[1])
-        # What was put until then has come: nothing of one session overtakes.
+        # Messages of one session arrive in order, so that all earlier messages are here.
         list(other.get(STATUS, timeout=100.0))
         before = stops[0]
         since_s = time.monotonic()

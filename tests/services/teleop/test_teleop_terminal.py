@@ -48,7 +48,7 @@ class Robot(RobotService):
         self.arms: list[int] = []
         self.resets: list[ResetRequest] = []
         self.ends: list[EndRequest] = []
-        # What happens when it is asked, before it does so.
+        # Callbacks that run when an answer is due, before the answer.
         self.before_arm: Callable[[], object] = bool
         self.before_reset: Callable[[], object] = bool
         runner = EpisodeRunner(LineBody(now_s), OperatorsTask(), self.gate, settings.robot, "s")

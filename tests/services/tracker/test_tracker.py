@@ -100,7 +100,10 @@ def test_an_impossible_calibration_is_one_line_and_no_pose(
     client.publish(frame(1, TAG, calibration=below))
     status = eventually(lambda: (now := status_of(client, "tracker")) and now.failed and now)
     assert status.published["pose/tracked"] == status.received["camera/overhead"] - 1
-    (line,) = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    # A failure is counted before it is logged.
+    (line,) = eventually(
+        lambda: [note.getMessage() for note in caplog.records if note.levelname == "WARNING"]
+    )
     assert line.startswith("handling camera/overhead failed (1 failures in total): a camera 0.4 m")
 
 

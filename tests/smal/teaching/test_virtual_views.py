@@ -61,8 +61,8 @@ def test_warped_view_matches_a_camera_there(
     scene = Scene(camera, CAMERA_HEIGHT, 8.4)
     here = ROOM.look(MIDDLE, ROWS, COLUMNS, camera)
     there = ROOM.look(from_beside(MIDDLE, ahead, left, turn), ROWS, COLUMNS, camera)
-    warped = scene.warp(here, ahead, left, turn)
-    to_the_wrong_side = scene.warp(here, -ahead, -left, -turn)
+    warped = scene.warp(here, (ahead, left, turn))
+    to_the_wrong_side = scene.warp(here, (-ahead, -left, -turn))
     # What both see of the wall, and of the ground that is near enough to be drawn well.
     side = round(COLUMNS * (0.1 + abs(turn_deg) / FIELD_DEG))
     for rows in (slice(ROWS // 4, ROWS // 2 - 4), slice(ROWS * 13 // 20, ROWS * 17 // 20)):
