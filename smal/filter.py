@@ -63,6 +63,8 @@ class Belief:
     camera: CameraState = "sees"
     #: Sum of the evidence since the start, or since the robot was last lost; at least 0.
     support: float = math.inf
+    #: Estimated angle by which the camera points further down than when it was taught.
+    pitch_deg: float = 0.0
 
     @property
     def is_lost(self) -> bool:
@@ -206,15 +208,12 @@ class Filter:
         self._jumped: Particles | None = None
         at_start, anywhere, lost = self._config.first
         self._odds = _Odds(at_start, 0.0, anywhere, lost)
-        self._newness = Newness(self._map)
         self._frozen = Frozen(self._map)
+        self.forget_view()
         self._started = False
         self._unseen = 0.0
         self._support = 0.0
         self._camera: CameraState = "sees"
-        #: Components of the last new view, and the step since then.
-        self._last = np.zeros(self._map.basis.shape[1], dtype=np.float32)
-        self._since = np.zeros(3)
         #: Drive and pose of the last certain position, moved on by the odometry, and its error.
         self._sure: tuple[int, Floats, float] | None = None
         if belief is not None:
@@ -222,6 +221,13 @@ class Filter:
             self._odds = _Odds(1.0 - belief.lost, 0.0, 0.0, belief.lost)
             self._support = belief.support
             self._started = True
+
+    def forget_view(self) -> None:
+        """Forget the views before: the next one is entirely new, and neither confirms nor denies a jump."""
+        self._newness = Newness(self._map)
+        #: Components of the last new view, and the step since then.
+        self._last = np.zeros(self._map.basis.shape[1], dtype=np.float32)
+        self._since = np.zeros(3)
 
     def _at_starts(self) -> Particles:
         """Scatter particles about the first keyframes of all drives."""
@@ -360,6 +366,8 @@ class Filter:
         `usual` is the probability without this difference, for a view that is entirely new. If two views
         differ, either the robot has jumped, or something hides the place in one of them.
         """
+        if not self._last.any():
+            return usual * seen.newness
         z = seen.stands_out(seen.components @ self._last)
         like_last = float(self._map.likelihood.of(z))
         visible = 1.0 - float(self._tracked.shares[0])
