@@ -156,14 +156,16 @@ def _off(
     off = by_other[:2] - by_one[:2]
     turned = float(wrapped(by_other[2:] - by_one[2:])[0])
     way = 0.0
-    turns = 0.0
+    variance = 0.0
     for first, last in (sorted((one, other)), sorted((there[one], there[other]))):
         steps = np.diff(poses[first : last + 1], axis=0)
         way += float(np.hypot(*steps[:, :2].T).sum())
-        turns += float(np.abs(wrapped(steps[:, 2])).sum())
+        turns = wrapped(steps[:, 2])
+        variance += noise.turn**2 * float(np.abs(turns).sum())
+        variance += (noise.pace * float(turns.sum())) ** 2
     # A stitch is as exact as the spacing of virtual views in turn, and as the correlation length along the way.
     drift = math.radians(noise.drift_deg) ** 2 * way / length
-    heading = math.sqrt(drift + (noise.turn * turns) ** 2 + math.radians(STEP_DEG) ** 2)
+    heading = math.sqrt(drift + variance + math.radians(STEP_DEG) ** 2)
     aside = heading * float(np.hypot(*by_one[:2]))
     distance = math.hypot(noise.pace * way, aside, length)
     return way, max(float(np.hypot(*off)) / distance, abs(turned) / heading)
