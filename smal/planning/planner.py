@@ -42,11 +42,14 @@ class Decision:
     Attributes
     ----------
     kind
-        "follow": drive along the taught way. "look_around": turn, because directions disagree. "guess": drive in the
-        mean direction, because looking around has not helped. "dead_end": stand, because no taught way leads on to the
-        goal. "blocked": wait before an obstacle without a way round. "search": at the end of the way, turn to find the
-        target, or approach it. "goal": stand after announcing the result. "blind": stand, because no view has
-        supported the robot's place for too long.
+        "follow": drive along the taught way. "look_around": turn to find the place, because
+        directions disagree, no view supports the place, the robot is at the end of the way, or its
+        wheels stall. "guess": drive in the mean direction, because looking around has not helped.
+        "dead_end": stand, because no taught way leads on to the goal. "blocked": wait before an
+        obstacle, turn to keep it in view, or back off; also back off after the wheels stalled.
+        "search": at the end of the way, turn to find the target, or approach it. "goal": stand
+        after announcing the result. "blind": stand, because no view has supported the robot's place
+        for too long.
     heading_rad
         Direction to drive in, from the robot's heading, positive to the left.
     motion
@@ -104,11 +107,6 @@ class Planner:
     def said(self) -> Said | None:
         """Announced result of the search; None while the robot is under way."""
         return self._mission.said
-
-    @property
-    def route(self) -> Route:
-        """The current route."""
-        return self._mission.route
 
     def decide(
         self,
@@ -188,7 +186,7 @@ class Planner:
             doing=self._doing,
             motion=self._steering.motion,
             directions=directions,
-            weights=weights + 1e-9,
+            weights=weights,
             heading_rad=math.atan2(mean.imag, mean.real),
             underway_rad=self._steering.underway_rad(delay_s),
             has_way=has_way,

@@ -36,8 +36,6 @@ class TargetConfig:
     #: Time before the end of a drive in which the target can be visible: from further away it is
     #: smaller than a cell.
     approach_s: float = 4.0
-    #: Time within which views show the same objects: as `approach_s`, without the last second.
-    beside_s: float = 3.0
     #: Time, by the clock, within which views count as one.
     moment_s: float = 0.5
     #: Probability that a cell of the way is nearer to the rest of the way than a cell that stands
@@ -47,6 +45,11 @@ class TargetConfig:
     sure: float = 0.975
     #: Usual distance from the end of a drive to its target, where the drive itself shows none.
     end_s: float = 1.5
+
+    @property
+    def beside_s(self) -> float:
+        """Time within which views show the same objects: `approach_s` without the last second."""
+        return self.approach_s - 1.0
 
 
 TARGET_CONFIG: Final = TargetConfig()

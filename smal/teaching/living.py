@@ -191,8 +191,8 @@ def compared(old: Model, new: Model, runs: Iterable[Demonstration]) -> Verdict:
         parts = max(int(way / (taught.config.mended * taught.correlation_length)), 1)
         stretches = np.array_split(after.evidence - before.evidence, parts)
         gains += [float(stretch.mean()) for stretch in stretches]
-        # Too early: the way goes on for longer than twice the distance within which a goal is near.
-        most = 2.0 * PLANNER_CONFIG.goal_s * taught.speed
+        # Too early: the way goes on for longer than the usual distance of "found".
+        most = PLANNER_CONFIG.found_s * taught.speed
         too_early = [_from_end(poses, followed.arrived) > most for followed in (before, after)]
         false_goals += too_early == [False, True]
     count = len(gains)
@@ -200,7 +200,7 @@ def compared(old: Model, new: Model, runs: Iterable[Demonstration]) -> Verdict:
     least = -math.inf
     if count > 1:
         margin = stdtrit(count - 1, 0.95) * np.std(gains, ddof=1) / math.sqrt(count)
-        least = float(np.mean(gains) - margin)
+        least = float(mean - margin)
     return Verdict(count, mean, least, false_goals)
 
 

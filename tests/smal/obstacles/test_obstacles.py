@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smal.movement import Atom
-from smal.obstacles.avoidance import Turns, hit_m, turn_round, way_round
+from smal.obstacles.avoidance import Turns, best_turn, detour_turn, hit_m
 from smal.obstacles.clearance import Surroundings, most_speed, scan
 from tests.smal.depth_world import MOUNT, MOVEMENTS, Box, depth, moved, touches
 
@@ -178,7 +178,7 @@ def drive(boxes: Sequence[Box], ticks: int = 400) -> tuple[np.ndarray, int]:
         )
         turn: float | None = math.atan2(way[0, 1], way[0, 0])
         if hit_m(around, way, around.body_m) < math.inf:
-            turn = turn_round(around, way, TURNS)
+            turn = best_turn(around, way, TURNS)
         if turn is None:
             blocked += 1
             continue
@@ -221,7 +221,7 @@ def test_robot_turns_back_when_it_faces_away_from_an_obstacle(heading: float) ->
     c = math.cos(heading)
     s = math.sin(heading)
     way = np.stack([np.arange(1.4, 7.8, 0.35), np.zeros(19)], axis=1) @ np.array([[c, -s], [s, c]])
-    turn = turn_round(made, way, TURNS)
+    turn = best_turn(made, way, TURNS)
     assert turn is not None
     assert abs(heading + turn) < 0.8
 
@@ -238,7 +238,7 @@ def test_taught_way_is_free_when_it_is_narrow(evades: bool, follows: bool) -> No
     aside_m = MOUNT.radius_m + 0.04
     made = around((2.5, aside_m, 3.0, 3.0, 1.0))
     way = np.stack([np.arange(1.4, 7.8, 0.35), np.zeros(19)], axis=1)
-    turn = way_round(made, way, TURNS, 0.01, evades)
+    turn = detour_turn(made, way, TURNS, 0.01, evades)
     assert (turn == 0.01) == follows
 
 
