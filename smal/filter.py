@@ -276,7 +276,7 @@ class Filter:
         if self._started:
             self._since = placed(step, self._since)
         self._newness.move(step)
-        self._frozen.look(centred, step if self._started else np.zeros(3))
+        self._frozen.observe(centred, step if self._started else np.zeros(3))
         seen = self._seen(centred)
         if self._started:
             self._jump(seen, movement)

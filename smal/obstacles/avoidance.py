@@ -20,6 +20,7 @@ from scipy.sparse.csgraph import dijkstra
 from smal.arrays import Bools, Floats, Indices
 from smal.movement import wrapped
 from smal.obstacles.clearance import Surroundings
+from smal.obstacles.occupancy import GRID_CONFIG
 
 #: Extra cost of a metre without clearance, a correlation length beside the way, or over unknown
 #: ground.
@@ -102,7 +103,7 @@ def _turns_back(
     side = len(around.clearance_m)
     start = np.ravel_multi_index(cells, around.clearance_m.shape)
     onwards = start
-    for _ in range(2 * around.config.cells_radius):
+    for _ in range(2 * GRID_CONFIG.cells_radius):
         onwards = following[onwards]
     x, y = np.divmod(start, side)
     to_x, to_y = np.divmod(onwards, side)

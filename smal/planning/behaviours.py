@@ -224,7 +224,7 @@ class Search(Behaviour):
         # An obstacle that appeared in free space can resemble the target, and can hide it.
         self._came_s = max(self._came_s - now.elapsed_s, 0.0)
         target_rad = self._target_rad(now)
-        if now.around and target_rad is not None and now.around.has_come(target_rad):
+        if now.around and target_rad is not None and now.around.is_new(target_rad):
             self._came_s = self._config.moment_s
 
     @property
