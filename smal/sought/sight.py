@@ -38,9 +38,9 @@ class TargetConfig:
     approach_s: float = 4.0
     #: Time, by the clock, within which views count as one.
     moment_s: float = 0.5
-    #: Probability that a cell of the way is nearer to the rest of the way than a cell that stands
-    #: out: a target covers about a fiftieth of a view.
-    stands_out: float = 0.98
+    #: Share of the cells of the way that are nearer to the rest of the way than a new cell: a
+    #: target covers about a fiftieth of a view.
+    known: float = 0.98
     #: Probability from which the target counts as in view: a false report costs the search.
     sure: float = 0.975
     #: Usual distance from the end of a drive to its target, where the drive itself shows none.
@@ -179,7 +179,7 @@ class Sight:
         if wrong:
             raise ValueError(f"the parts of the target do not fit together: {', '.join(wrong)}")
 
-    def look(self, picture: Image) -> Sighting:
+    def detect(self, picture: Image) -> Sighting:
         """Return the evidence of a small picture."""
         compared = Compared.of(cells_of(picture, 2), self.target, self.others)
         window = compared.window(self.windows)

@@ -34,7 +34,7 @@ class Word:
                 f"the parts of the detector's calibration do not fit together: {str(label)[:LONGEST]!r}"
             )
 
-    def look(self, detections: Iterable[Detection]) -> Sighting:
+    def detect(self, detections: Iterable[Detection]) -> Sighting:
         """Return the evidence of the detections in one view."""
         score, detection = best(detections, self.label)
         log_ratio = self.evidence.log_ratio(score)
