@@ -297,7 +297,7 @@ def _followed(
     def oldest() -> Best:
         message = np.ones_like(belief)
         for _, _, ratios in list(recent)[:0:-1]:
-            message = chain.back(chain.seen(message, ratios))
+            message = chain.back(chain.weighed(message, ratios))
         query, then, _ = recent.popleft()
         progress(int(frames[query]) + 1)
         return places.best(*chain.at_references(then * message))
@@ -311,7 +311,7 @@ def _followed(
         while recent and frames[query] - frames[recent[0][0]] > lag:
             yield oldest()
         ratios = evidence.of(row)
-        belief = chain.seen(chain.ahead(belief) if query else belief, ratios)
+        belief = chain.weighed(chain.ahead(belief) if query else belief, ratios)
         recent.append((query, belief, ratios))
     while recent:
         yield oldest()

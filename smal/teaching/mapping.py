@@ -28,6 +28,7 @@ from smal.sought.learning import Box, Taught, learn_sight, learn_word
 from smal.sought.sight import Sight
 from smal.sought.word import Word
 from smal.teaching.calibration import (
+    CALIBRATION_CONFIG,
     USUAL_CAMERAS,
     TaughtFrames,
     compared_frames,
@@ -227,7 +228,7 @@ class _Kept:
     def __init__(self, features: Sequence[Float32s], frames: Sequence[int]) -> None:
         self._features = features
         starts = np.cumsum([0, *frames[:-1]])
-        compared = [compared_frames(count) for count in frames]
+        compared = [compared_frames(count, CALIBRATION_CONFIG.most_frames) for count in frames]
         wanted = [start + some for start, some in zip(starts, compared, strict=True)]
         self._wanted = set(np.concatenate(wanted).tolist())
         self._rows: dict[int, Float32s] = {}
