@@ -311,7 +311,7 @@ class Filter:
         keyframes, stand_for = self._map.likely(components)
         places = np.full(TURNS_DEG.size, 1)
         turns = np.arange(TURNS_DEG.size)
-        cosines = self._map.best_look(
+        cosines = self._map.best_variant(
             keyframes, lambda _, rows: self._map.cosines(components, rows[:, None], places, turns)
         )
         middle, spread = scale(self._map.sample @ components)
@@ -402,7 +402,7 @@ class Filter:
 
     def _looks_at_taught(self) -> float:
         """Return how far the tracked robot looks at taught views, 0 to 1."""
-        return float(self._tracked.weights @ self._tracked.looks())
+        return float(self._tracked.weights @ self._tracked.facing())
 
     def _scouts(self, seen: ViewEvidence, shares: Floats) -> tuple[Particles, float]:
         """Draw particles by the likelihood of one view; also return the likelihood of the view there."""

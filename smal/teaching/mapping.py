@@ -118,7 +118,6 @@ def learn(
         basis=basis,
         views=views,
         blank=unit(frames.describe([grey])[0] @ basis),
-        aside=aside,
         correlation_length=length,
         correlation_rad=correlation_turn(frames, camera, unrelated),
         log_ratio=likelihood.log_ratio,

@@ -46,7 +46,6 @@ def map_of(
         basis=np.eye(4, 1, dtype=np.float32),
         views=np.zeros((keyframes.size, 3, TURNS_DEG.size, 1), dtype=np.int8),
         blank=np.zeros(1, dtype=np.float32),
-        aside=0.2,
         correlation_length=0.5,
         correlation_rad=0.2,
         log_ratio=np.tile(np.linspace(-3.0, 10.0, GRID.size), (SHARES.size, 1)),
