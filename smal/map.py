@@ -17,12 +17,12 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.arrays import AnyArray, Float32s, Floats, Indices, Int8s, Int32s
+from smal.arrays import AnyArray, Float32s, Floats, Indices, Int8s, Int32s, evenly
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG
 from smal.files.packed import BATCH, unit, unpacked
 from smal.files.stored import Content
 from smal.keyframes import MAP_CONFIG, MapConfig, without_detours
-from smal.likelihood import GRID, SHARES, Likelihood, evenly, standing_out
+from smal.likelihood import GRID, SHARES, Likelihood, standing_out
 from smal.movement import Atom, Movement, placed, seen_from
 
 _T = TypeVar("_T", bound=np.floating[Any])
@@ -271,6 +271,11 @@ class VisualMap:
         """Goal of the drive of each keyframe, (k,)."""
         return np.array(self.goals)[self.key_drives]
 
+    @property
+    def drive_count(self) -> int:
+        """Number of drives."""
+        return len(self.goals)
+
     @cached_property
     def frames(self) -> Indices:
         """Number of frames of each drive, (d,)."""
@@ -369,8 +374,8 @@ def in_common_axes(visual_map: VisualMap) -> Floats:
     poses = visual_map.key_poses.copy()
     drives = visual_map.key_drives
     ones, others = visual_map.stitched.T
-    known = np.zeros(len(visual_map.goals), dtype=bool)
-    for first in range(len(visual_map.goals)):
+    known = np.zeros(visual_map.drive_count, dtype=bool)
+    for first in range(visual_map.drive_count):
         if known[first]:
             continue
         known[first] = True

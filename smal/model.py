@@ -52,7 +52,7 @@ class Model(Stored):
     def __repr__(self) -> str:
         """Return a summary without the arrays."""
         keyframes = len(self.mapped.keyframes)
-        drives = len(self.mapped.goals)
+        drives = self.mapped.drive_count
         modalities = "+".join(self.feature_settings.modalities)
         return f"Model({keyframes} keyframes of {drives} drives, {modalities})"
 

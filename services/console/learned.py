@@ -94,7 +94,7 @@ def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> L
     mapped = model.mapped
     goal = chosen_goal(mapped.goals, goal)
     drives = mapped.key_drives
-    first = np.searchsorted(mapped.drives, np.arange(len(mapped.goals)))
+    first = np.searchsorted(mapped.drives, np.arange(mapped.drive_count))
     poses = mapped.key_poses.copy()
     images: list[memoryview | None] = [None] * len(drives)
     worlds: set[str] = set()

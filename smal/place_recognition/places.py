@@ -306,6 +306,7 @@ def _followed(
     belief = chain.first()
     rows = chain_of.from_iterable(map(places.levels, part(0, len(frames)).blocks()))
     for query, row in enumerate(rows):
+        # Learned anew when the number of queries has doubled: at powers of two.
         if query.bit_count() == 1:
             evidence = _learned(chain, [places.levels(one) for one in _stretches(part, query)])
         while recent and frames[query] - frames[recent[0][0]] > lag:

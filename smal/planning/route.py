@@ -178,7 +178,7 @@ def _guides(taught: VisualMap, to_go_s: Floats, following: Indices) -> tuple[Ind
 
 def _connected(taught: VisualMap) -> Int32s:
     """Return the group of each drive (d,); drives of one group are linked by shared places."""
-    count = len(taught.goals)
+    count = taught.drive_count
     one, other = taught.key_drives[taught.stitched].T
     links = sparse.csr_array((np.ones(one.size), (one, other)), shape=(count, count))
     _, group = connected_components(links, directed=False)

@@ -13,12 +13,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.arrays import Bools, Float32s, Floats, Int32s
+from smal.arrays import Bools, Float32s, Floats, Int32s, evenly
 from smal.camera import Image
 from smal.features.detectors import Detection
 from smal.features.extraction import in_parallel
 from smal.features.resizing import SHAPE
-from smal.likelihood import evenly
 from smal.sought.distance import Distance
 from smal.sought.evidence import ScoreEvidence
 from smal.sought.sight import (

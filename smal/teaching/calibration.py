@@ -13,13 +13,13 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.optimize import isotonic_regression
 
-from smal.arrays import AnyArray, Bools, Float32s, Floats, Indices, Int8s, Int32s
+from smal.arrays import AnyArray, Bools, Float32s, Floats, Indices, Int8s, Int32s, evenly
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
 from smal.features.extraction import in_parallel
 from smal.features.resizing import PIXELS, fitted
 from smal.files.packed import unpacked
 from smal.keyframes import MapConfig
-from smal.likelihood import Likelihood, evenly, standing_out
+from smal.likelihood import Likelihood, standing_out
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
 
 #: Returns the centred features (n, m) of n images.

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.linalg import eigh
 
-from smal.arrays import Float32s, Floats, Int8s, Int32s
+from smal.arrays import Float32s, Floats, Int8s, Int32s, evenly
 from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
 from smal.features import Centering, FeatureSettings, extract
 from smal.features.detectors import Detection
@@ -19,7 +19,6 @@ from smal.features.extraction import Parallel, detect, in_parallel, looked_at
 from smal.features.resizing import fitted, small
 from smal.files.packed import packed, unit
 from smal.keyframes import MAP_CONFIG, MapConfig, shows_same, without_detours
-from smal.likelihood import evenly
 from smal.map import VisualMap, beside, way_from
 from smal.model import Model
 from smal.movement import Atom, dead_reckoning
