@@ -281,6 +281,21 @@ class VisualMap:
         """Number of frames of each drive, (d,)."""
         return np.bincount(self.drives)
 
+    def chosen_goal(self, goal: str | None) -> str:
+        """Return the goal, or the only goal of the map; ValueError if it is not found or ambiguous."""
+        known = sorted(set(self.goals))
+        if goal is None and len(known) > 1:
+            raise ValueError(f"the model has the goals {', '.join(known)}; name one of them")
+        if goal is not None and goal not in known:
+            raise ValueError(f"the model has no goal {goal!r}; it has {', '.join(known)}")
+        return known[0] if goal is None else goal
+
+    def frames_along(self, keyframes: Indices | int, way: Floats) -> Indices:
+        """Return the frames on the drives of keyframes at a `way` (`arc`), at most to their ends."""
+        first, last = (self.keyframes[edge[keyframes]] for edge in self.key_range)
+        # Frames of other drives, in other axes, come before and after.
+        return np.clip(np.searchsorted(self.arc, way), first, last)
+
     @property
     def aside(self) -> float:
         """Distance of the views from aside to the keyframe, in the map's unit."""
@@ -396,11 +411,7 @@ def way_from(mapped: VisualMap, keyframe: int, offset: Floats, along: Floats) ->
     They are at distances `along` (s,) from the point where the drive passes the robot, and end with the drive.
     """
     key = mapped.keyframes[keyframe]
-    drive = mapped.drives[key]
-    first = np.searchsorted(mapped.drives, drive, "left")
-    end = np.searchsorted(mapped.drives, drive, "right")
-    ahead = np.searchsorted(mapped.arc, mapped.arc[key] + offset[0] + along)
-    target = np.clip(ahead, first, end - 1)
+    target = mapped.frames_along(keyframe, mapped.arc[key] + offset[0] + along)
     from_keyframe = seen_from(mapped.poses[target], mapped.poses[key])
     return seen_from(from_keyframe, offset)[:, :2]
 

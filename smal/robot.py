@@ -18,7 +18,7 @@ from smal.movement import BY_ATOMS, BY_ODOMETRY, STANDS, STILL, Atom, Motion, Mo
 from smal.obstacles.clearance import Mount, Surroundings
 from smal.obstacles.strange import GROUND_CONFIG, swept
 from smal.particles import FILTER_CONFIG, FilterConfig
-from smal.planning import Decision, Planner, Said, chosen_goal
+from smal.planning import Decision, Planner, Said
 from smal.sought.sight import TARGET_CONFIG
 from smal.sought.witness import Glimpse, Witness
 
@@ -322,7 +322,7 @@ class Robot:
         self, model: Model, goal: str | None = None, seed: int = 0, watches: bool = False
     ) -> None:
         self._map = model.mapped
-        goal = chosen_goal(model.mapped.goals, goal)
+        goal = model.mapped.chosen_goal(goal)
         self._localizer = Localizer(model, seed, goal, watches)
         self._planner = Planner(model.mapped, goal)
         self.reset()

@@ -29,7 +29,6 @@ from smal.planning.behaviours import (
     Wait,
 )
 from smal.planning.config import PLANNER_CONFIG, PlannerConfig
-from smal.planning.cost_to_go import chosen_goal
 from smal.planning.route import Route
 from smal.planning.steering import Chassis, Kind, Steering
 from smal.sought.witness import Glimpse
@@ -69,7 +68,7 @@ class Planner:
     visual_map
         The taught map.
     goal
-        Goal of the robot. It can be omitted if all drives lead to the same goal (`chosen_goal`).
+        Goal of the robot. It can be omitted if all drives lead to the same goal (`VisualMap.chosen_goal`).
     config
         Parameters of the planner.
     """
@@ -81,7 +80,7 @@ class Planner:
         self._config = config
         self._chassis = Chassis.of(visual_map, config)
         self._steering = Steering(self._chassis, visual_map.tick_s)
-        self._route = Route.plan(visual_map, chosen_goal(visual_map.goals, goal), config.go_over_s)
+        self._route = Route.plan(visual_map, visual_map.chosen_goal(goal), config.go_over_s)
         self.reset()
 
     def reset(self) -> None:

@@ -15,20 +15,13 @@ from numpy.typing import NDArray
 
 from smal.arrays import Bools, Float32s, Floats, Int32s, evenly
 from smal.camera import Image
+from smal.features.cells import NUMBERS, cells_of, nearest
 from smal.features.detectors import Detection
 from smal.features.extraction import in_parallel
 from smal.features.resizing import SHAPE
 from smal.sought.distance import Distance
 from smal.sought.evidence import ScoreEvidence
-from smal.sought.sight import (
-    NUMBERS,
-    SIZES,
-    TARGET_CONFIG,
-    Compared,
-    Sight,
-    cells_of,
-    nearest,
-)
+from smal.sought.sight import SIZES, TARGET_CONFIG, Compared, Sight
 from smal.sought.word import Word, area, best
 
 #: Left, top, right, bottom: shares of a view's width and height.
