@@ -7,9 +7,9 @@ The hidden state is a pose beside a taught keyframe (the keyframe, the way ahead
 * *Prediction* moves each particle by the odometry, or by the usual movement of the atoms, with noise.
 * *Update* weighs each particle by the likelihood of the view (`smal.likelihood`), for the part of the view that is
   new. "Lost" has the likelihood 1, like any other place.
-* A *jump* covers movements that the odometry misses: the robot was carried, or the filter follows a wrong place.
-  A jump can happen with every new view. A robot that was carried sees another view: the jump is more likely when
-  the view differs from the view before, and less likely when it continues it.
+* A *jump* covers movements that the odometry misses: the robot was carried (kidnapped), or the filter follows a
+  wrong place. A jump can happen with every new view. A robot that was carried sees another view: the jump is more
+  likely when the view differs from the view before, and less likely when it continues it.
 * A second set of particles follows the hypothesis of a jump. Scouts join it with every view. They are drawn by the
   likelihood of the view, half of them near the last certain pose. When this set becomes more likely than the first,
   the two sets are joined.

@@ -23,7 +23,7 @@ from smal.sought.sight import TARGET_CONFIG
 from smal.sought.witness import Glimpse, Witness
 
 NO_GROUND = (
-    "the model does not know how the ground looks, which a robot that watches needs; learn it again"
+    "the model has no ground, so that unexpected ground cannot be detected; learn the model again"
 )
 
 
