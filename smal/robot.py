@@ -205,7 +205,7 @@ class Localizer:
             key = int(belief.keyframes[best])
             way = way_from(self._map, key, offset, swept(self._map.speed))
             neighbours = beside(self._map, key, GROUND_CONFIG.keyframes)
-            far = self._ground.strange_m(picture, neighbours, way, self._map.scene)
+            far = self._ground.strange_m(picture, neighbours, way, self._map)
             # A momentary detection is ignored.
             self._strange_s = self._strange_s + self._step_s if math.isfinite(far) else 0.0
             self._strange = far if self._strange_s >= GROUND_CONFIG.lasts_s else math.inf

@@ -32,7 +32,7 @@ class CalibrationConfig:
 
     #: Candidates for the field of view of rectilinear and of equidistant lenses, as of cameras on robots.
     fields_deg: tuple[float, ...] = tuple(range(40, 125, 5))
-    wide_fields_deg: tuple[float, ...] = tuple(range(80, 205, 5))
+    wide_fields_deg: tuple[float, ...] = tuple(range(80, 225, 5))
     #: Candidates for the height of the camera, in correlation lengths, and for the distance of the scene, in heights.
     heights: tuple[float, ...] = tuple(0.1 * 1.5**k for k in range(7))
     distances: tuple[float, ...] = tuple(3.0 * 2.0**k for k in range(6))

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from smal.arrays import Bools, Float32s, Floats, Indices, Int8s
-from smal.camera import Camera, Image, Scene
+from smal.camera import Camera, Image
 from smal.features import extract
 from smal.features.extraction import in_parallel, looked_at
 from smal.features.resizing import fitted
@@ -155,7 +155,7 @@ def _look(model: Model, run: Demonstration, frame: int, offset: Floats) -> Int8s
     """Return the virtual views (3, turns, r) of a keyframe, warped from a frame beside it."""
     taught = model.mapped
     image = cast("Sequence[Image]", run.images)[frame]
-    scene = Scene(cast("Camera", run.camera), *taught.scene[1:].tolist())
+    scene = replace(taught.scene, camera=cast("Camera", run.camera))
     steps = seen_from(np.array(virtual_poses(taught.aside)), offset).tolist()
     image = looked_at(image, model.feature_settings)
     shape = fitted(image.shape, model.feature_settings.pixels)

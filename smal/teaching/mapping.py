@@ -126,7 +126,7 @@ def learn(
         movements=frames.movements,
         tick_s=tick_s,
         odometry=frames.odometry,
-        scene=np.array([camera.field_deg, scene.height, scene.distance]),
+        scene=scene,
         goals=tuple(drive.goal for drive in taught),
         names=tuple(names for names, _ in whole),
         size=(width, height),
@@ -369,7 +369,7 @@ def _ground(pictures: Sequence[Image], mapped: VisualMap) -> Ground:
     def strangest(key: int) -> float:
         others = np.setdiff1d(beside(mapped, key, GROUND_CONFIG.keyframes), key)
         way = way_from(mapped, key, np.zeros(3), swept(mapped.speed))
-        _, score = patches(pictures[key], colours[others], way, mapped.scene)
+        _, score = patches(pictures[key], colours[others], way, mapped)
         return float(score.max(initial=0.0))
 
     # A drive of one keyframe has no neighbours.

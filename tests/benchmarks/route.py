@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from smal.camera import STRAIGHT, TURNS_DEG
+from smal.camera import STRAIGHT, TURNS_DEG, Camera, Scene
 from smal.features import Centering, FeatureSettings
 from smal.files.packed import packed, unpacked
 from smal.keyframes import MAP_CONFIG
@@ -75,7 +75,7 @@ def map_of(metres: float, components: int) -> Model:
         movements=np.array([(0.0, 0.0), (step, 0.0), (-step, 0.0), (0.0, turn), (0.0, -turn)]),
         tick_s=0.1,
         odometry=True,
-        scene=np.ones(3),
+        scene=Scene(Camera(0.7), 1.0, 1.0),
         goals=("victim",),
         names=(("made up",),),
         size=(64, 48),

@@ -260,7 +260,6 @@ def test_map_is_the_same_when_it_is_made_from_its_content() -> None:
         ("basis", lambda basis: basis[:, :0], "components"),
         ("keyframes", lambda keys: np.append(keys[:-1], -1), "keyframes"),
         ("keyframes", lambda keys: np.append(keys[:-1], np.int32(2**31 - 1)), "keyframes"),
-        ("scene", lambda _: [1.0, 1.0, 1.0], "scene"),
         ("movements", lambda movements: 1e300 * movements, "movements"),
         ("basis", lambda basis: np.zeros((0, 10**6), basis.dtype), "components"),
         ("gamma", lambda _: -1.0, "gamma"),
