@@ -1,7 +1,7 @@
 """Demonstrations from recordings: usable episodes and their frames, never true poses."""
 
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -20,7 +20,7 @@ from services.recordings.stream import RecordingError
 from smal.features import FeatureSettings
 from smal.features.extraction import check_image, in_parallel
 from smal.movement import Atom
-from smal.teaching.demonstration import Demonstration, Made, described
+from smal.teaching.demonstration import Demonstration, Made, Use, described
 
 #: Ratio of two aspect ratios above which images show different views: 1 % is one row in a hundred.
 _OTHER_SHAPE: Final = 1.01
@@ -34,8 +34,14 @@ class Teaching:
     # One for each stretch without gaps.
     demonstrations: list[Demonstration] = field(default_factory=list)
     recordings: int = 0  # Number of read files.
-    episodes: int = 0  # Number of used episodes.
-    remarks: list[str] = field(default_factory=list)  # Omissions and damage, one per line.
+    #: Use of each episode; learners add the use of the episodes with demonstrations.
+    uses: list[Use] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)  # Damage, one per line.
+
+    def lines(self) -> list[str]:
+        """Return the damage and the episodes that do not teach, one per line."""
+        unused = [use for use in self.uses if not use.used]
+        return [*self.remarks, *(f"episode {one.drive} left out: {one.note}" for one in unused)]
 
 
 class _LeftOut(Exception):  # noqa: N818 - it is caught and reported, one episode of many
@@ -124,15 +130,16 @@ class Teacher:
             self._check_images(here, episode)
             pieces = self._pieces(here, episode)
         except _LeftOut as reason:
-            self._remark(f"{here} left out: {reason}")
+            self.teaching.uses.append(Use(episode.episode, episode.frames, 0, str(reason)))
             return
-        self.teaching.episodes += 1
+        end = int(pieces[0][0])
         for ticks in pieces:
             whole = len(pieces) == 1
             name = episode.episode if whole else piece_name(episode.episode, ticks)
-            self.teaching.demonstrations.append(
-                _demonstration(episode, ticks, name, self._features)
-            )
+            demonstration = _demonstration(episode, ticks, name, self._features)
+            lost = int(ticks[0]) - end
+            self.teaching.demonstrations.append(replace(demonstration, lost=lost))
+            end = int(ticks[-1]) + 1
 
     def _check_is_first(self, path: Path, episode: RecordedEpisode) -> None:
         other = self._seen.setdefault((episode.robot, episode.episode), path)
@@ -182,7 +189,10 @@ class Teacher:
             *map(np.ndarray.tolist, pieces), [max(episode.images)]
         )
         if lost:
-            self._remark(f"{here}: {len(lost)} frames beside gaps left out")
+            self._remark(
+                f"{here}: {len(lost)} frames left out: without a movement or odometry, or in "
+                f"a stretch of fewer than {self._shortest}"
+            )
         return pieces
 
     def _remark(self, text: str) -> None:

@@ -21,6 +21,7 @@ from smal.files.packed import unpacked
 from smal.keyframes import MapConfig
 from smal.likelihood import Likelihood, evenly, standing_out
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
+from smal.teaching.demonstration import selected
 
 #: Returns the centred features (n, m) of n images.
 Describe = Callable[[Iterable[Image]], Float32s]
@@ -136,6 +137,18 @@ class TaughtFrames:
                 first = good[0]
                 found.append(_Pair(frame, int(after[first]), tuple(steps[first].tolist())))
         return found
+
+    def of_drives(self, drives: Indices) -> "TaughtFrames":
+        """Return the frames of some drives."""
+        some = np.flatnonzero(np.isin(self.drives, drives))
+        _, numbers = np.unique(self.drives[some], return_inverse=True)
+        return replace(
+            self,
+            images=selected(self.images, some.tolist()),
+            centred=lambda frames: self.centred(some[list(frames)].tolist()),
+            poses=self.poses[some],
+            drives=numbers.astype(np.int32),
+        )
 
     def best(self, scenes: Sequence[Scene], pairs: Sequence[_Pair]) -> Scene:
         """Return the scene that predicts the second views of pairs best from the first."""

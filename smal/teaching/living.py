@@ -29,7 +29,7 @@ from smal.movement import Atom, Movement, dead_reckoning, seen_from
 from smal.planning import Planner
 from smal.planning.config import PLANNER_CONFIG
 from smal.robot import Localizer
-from smal.teaching.demonstration import Demonstration, check_features, drives_to_goals
+from smal.teaching.demonstration import Demonstration, check_features
 from smal.teaching.mapping import virtual_poses
 
 #: Accepted loss of log likelihood of a view under a new map: a hundredth of the information of views.
@@ -73,11 +73,6 @@ class Verdict:
     def better(self) -> bool:
         """Whether the new map is accepted."""
         return self.stretches > 0 and self.least > -_MAY_LOSE and not self.false_goals
-
-
-def whole_runs(runs: Sequence[Demonstration]) -> list[Demonstration]:
-    """Return the runs that ended at a goal and have images, with their parts joined."""
-    return [run for _, run in drives_to_goals(runs)]
 
 
 def follow(model: Model, run: Demonstration) -> Followed:
@@ -215,7 +210,7 @@ def lived(
     runs: Sequence[Demonstration],
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> tuple[Model, Verdict]:
-    """Learn from every second run (`whole_runs`), compare on the others, and return the better model.
+    """Learn from every second run (`Drive.whole`), compare on the others, and return the better model.
 
     Parameters
     ----------

@@ -12,8 +12,8 @@ from smal.filter import Filter
 from smal.map import VisualMap
 from smal.model import Model
 from smal.teaching import living
-from smal.teaching.demonstration import Demonstration
-from smal.teaching.living import compared, lived, taken_up, whole_runs
+from smal.teaching.demonstration import Demonstration, whole_drives
+from smal.teaching.living import compared, lived, taken_up
 from tests.smal.synthetic_world import CAMERA, COLOR, START, Drive, Image, Room, drive, usual_map
 
 #: How a map follows a run is the same each time, and takes most of the time.
@@ -103,7 +103,8 @@ def test_looks_are_bounded_and_keep_the_taught_one() -> None:
 
 
 def test_failed_run_or_run_without_images_teaches_nothing() -> None:
-    assert whole_runs([replace(run(7, 0.6), successful=False)]) == []
+    (failed,) = whole_drives([replace(run(7, 0.6), successful=False)])
+    assert failed.unfit == "it does not end at the goal"
     assert taken_up(model(), [replace(run(7, 0.6), camera=None)]) is model()
 
 
