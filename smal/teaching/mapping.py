@@ -186,13 +186,15 @@ def _moving(frames: TaughtFrames, drives: Sequence[Drive], least: float, report:
     for number, drive in enumerate(drives):
         extent = float(np.hypot(*np.ptp(frames.poses[frames.drives == number, :2], axis=0)))
         if extent < least:
-            unit = "m" if frames.odometry else "steps"
-            moved = f"the robot hardly moves: by {extent:.2g} of at least {least:.2g} {unit}"
+            moved = f"the robot hardly moves: by {extent:.2g} of at least {least:.2g} {frames.unit}"
             report(Use(drive.name, drive.frames, 0, moved))
         else:
             moving.append(number)
     if not moving:
-        raise ValueError("the robot hardly moves in any demonstration")
+        raise ValueError(
+            f"the robot hardly moves in {frames.listed}: by less than {least:.2g} {frames.unit}, "
+            "within which views are alike; record a longer drive"
+        )
     return np.array(moving)
 
 
@@ -342,6 +344,7 @@ def _frames(
         np.repeat(numbers, [drive.frames for drive in drives]),
         describe,
         movements,
+        tuple(drive.name for drive in drives),
         odometry,
         camera,
         pixels=pixels,
