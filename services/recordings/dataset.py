@@ -4,7 +4,6 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +18,10 @@ from services.recordings.sink import first_of
 from services.recordings.stream import RecordingError
 from smal.features import FeatureSettings
 from smal.features.extraction import check_image, in_parallel
+from smal.features.resizing import same_aspect
 from smal.movement import Atom
 from smal.teaching.demonstration import Demonstration, Made, Use, described
 
-#: Ratio of two aspect ratios above which images show different views: 1 % is one row in a hundred.
-_OTHER_SHAPE: Final = 1.01
 Size = tuple[int, int]  # Width and height of an image, pixels.
 
 
@@ -173,8 +171,7 @@ class Teacher:
             return
         other, where = next(iter(self._sizes.items()))
         sizes = f"images of {size[0]}x{size[1]} differ from {other[0]}x{other[1]} in {where}"
-        ratio = size[0] * other[1] / (size[1] * other[0])
-        if not 1.0 / _OTHER_SHAPE <= ratio <= _OTHER_SHAPE:
+        if not same_aspect(size, other):
             raise _LeftOut(f"{sizes}: another aspect ratio shows another view")
         self._sizes[size] = here
         self._remark(f"{here}: {sizes}; all are resized")

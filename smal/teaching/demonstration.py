@@ -150,9 +150,14 @@ def selected(arrays: AnyArray | Sequence[AnyArray], numbers: Sequence[int]) -> M
     return Made(len(numbers), lambda k: task_of(arrays, numbers[k]))
 
 
-def described(images: Sequence[Image], features: FeatureSettings) -> Made:
-    """Return the raw features of images, each computed on access."""
-    return Made(len(images), lambda frame: partial(_extracted, task_of(images, frame), features))
+def described(images: Sequence[Image], features: FeatureSettings, drive: str = "") -> Made:
+    """Return the raw features of images, each computed on access; errors name the drive."""
+
+    def task(frame: int) -> Task:
+        where = f"{drive}, frame {frame}: " if drive else ""
+        return partial(_extracted, task_of(images, frame), features, where)
+
+    return Made(len(images), task)
 
 
 def seen_by(images: Sequence[Image], features: FeatureSettings) -> Made:
@@ -164,8 +169,11 @@ def _shrunk(image: Task, features: FeatureSettings) -> Image:
     return looked_at(image(), features)
 
 
-def _extracted(image: Task, features: FeatureSettings) -> Float32s:
-    return extract(image(), features)
+def _extracted(image: Task, features: FeatureSettings, where: str) -> Float32s:
+    try:
+        return extract(image(), features)
+    except ValueError as error:
+        raise ValueError(f"{where}{error}") from None
 
 
 def chained(parts: Sequence[Sequence[AnyArray] | AnyArray]) -> Made:

@@ -40,19 +40,18 @@ from smal.teaching.calibration import (
     turn_of_views,
 )
 from smal.teaching.demonstration import (
-    USUAL_GOAL,
     Demonstration,
     Drive,
     Task,
     Use,
     chained,
     check_features,
-    described,
     every,
     seen_by,
     tasks_of,
     whole_drives,
 )
+from smal.teaching.from_arrays import demonstrations_of
 from smal.teaching.gaps import reckoned
 from smal.teaching.movements import atom_movements
 from smal.teaching.stitches import stitched
@@ -216,6 +215,7 @@ def fit(
     goals: Sequence[str] | None = None,
     camera: Camera | None = None,
     tick_s: float = 0.1,
+    progress: Progress = lambda _stage, _done, _total: None,
     parallel: Parallel = in_parallel,
 ) -> Model:
     """Learn a model from images and the movements at each of them.
@@ -232,8 +232,15 @@ def fit(
         By default estimated from the images.
     tick_s : float
         Time between two images, seconds.
+    progress : callable
+        Called with the stage ("frames", "views" of keyframes), the finished number, and the total.
     parallel : callable
         `map` of an executor (`concurrent.futures`), for more cores or machines.
+
+    Raises
+    ------
+    ValueError
+        If a drive is invalid; the error names the drive, the frame and the remedy. As in `learn`.
 
     Examples
     --------
@@ -243,29 +250,7 @@ def fit(
     """
     features = FeatureSettings() if features is None else features
     demonstrations = demonstrations_of(drives, features, goals, camera)
-    return learn(demonstrations, features, tick_s, parallel=parallel)
-
-
-def demonstrations_of(
-    drives: Sequence[tuple[Any, ...]],
-    features: FeatureSettings,
-    goals: Sequence[str] | None = None,
-    camera: Camera | None = None,
-) -> list[Demonstration]:
-    """Return drives as demonstrations whose features are computed on access; see `fit`."""
-    goals = [USUAL_GOAL] * len(drives) if goals is None else goals
-    return [
-        Demonstration(
-            f"drive-{number}",
-            described(images, features),
-            np.asarray(atoms, dtype=np.int8),
-            images=images,
-            odometry=np.asarray(odometry[0], dtype=np.float64) if odometry else None,
-            goal=goal,
-            camera=camera,
-        )
-        for number, ((images, atoms, *odometry), goal) in enumerate(zip(drives, goals, strict=True))
-    ]
+    return learn(demonstrations, features, tick_s, progress, parallel)
 
 
 class _Kept:

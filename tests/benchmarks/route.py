@@ -26,7 +26,8 @@ from smal.map import VisualMap
 from smal.model import Model
 from smal.planning import Planner
 from smal.robot import Localizer
-from smal.teaching.mapping import demonstrations_of, learn
+from smal.teaching.from_arrays import demonstrations_of
+from smal.teaching.mapping import learn
 from tests.benchmarks.reporting import Parser, say, table, verdict
 from tests.smal.synthetic_world import Room, drive
 
