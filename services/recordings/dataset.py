@@ -57,6 +57,8 @@ class Teacher:
         Minimum number of frames of a stretch without gaps.
     include_runs
         Whether successful runs of the robot by itself teach.
+    everything
+        Whether episodes that must not teach are read as well, for other uses.
     episodes
         Episodes to read; all if empty.
     taught
@@ -75,6 +77,7 @@ class Teacher:
         shortest: int,
         *,
         include_runs: bool = False,
+        everything: bool = False,
         episodes: Collection[str] = (),
         taught: Size | None = None,
     ) -> None:
@@ -88,6 +91,7 @@ class Teacher:
         self._features = features
         self._shortest = shortest
         self._include_runs = include_runs
+        self._everything = everything
         self._seen: dict[tuple[str, str], Path] = {}
         self._allowance = Allowance()
 
@@ -123,7 +127,8 @@ class Teacher:
         here = f"{path}: episode {episode.episode}"
         try:
             self._check_is_first(path, episode)
-            if reason := unusable(episode, include_runs=self._include_runs):
+            reason = unusable(episode, include_runs=self._include_runs)
+            if reason and not self._everything:
                 raise _LeftOut(reason)
             self._check_images(here, episode)
             pieces = self._pieces(here, episode)
