@@ -5,7 +5,7 @@ from services.kit.process import configure_logging, read_settings, run_service
 from services.robot.pace import Paces
 from services.robot.real import BaseSettings, RealView
 from services.robot.service import ROBOT, serve_robot
-from services.robot.task import OperatorsTask
+from services.robot.task import OperatorsTask, Task
 from services.ros2.body import Ros2Body
 from services.ros2.config import read_config
 from services.ros2.senses import Senses
@@ -24,7 +24,8 @@ def serve() -> None:
         node.log.info("%s at %s, in the dialect %s", config.name, config.router, config.dialect)
         return Ros2Body(config, senses, session), {}
 
-    serve_robot(settings, open_body, OperatorsTask())
+    task: Task[RealView] = OperatorsTask()
+    serve_robot(settings, open_body, task)
 
 
 if __name__ == "__main__":
