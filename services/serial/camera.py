@@ -26,7 +26,7 @@ from services.serial.config import CameraConfig
 #: Time after the opening in which the pace of a camera is learned, and its buffers are emptied.
 LEARN_S: Final = 1.0
 _RETRY_S: Final = 0.5
-_OPEN_MS: Final = 5000
+_OPEN_MS: Final = 3000
 _READ_MS: Final = 2000
 # Age at which the last picture counts as missing, seconds: twice that of commands.
 _SILENCE_S: Final = 2 * SILENCE_S
@@ -112,7 +112,7 @@ class VideoSource:
     def close(self) -> None:
         """End reading; a read that hangs ends with the process."""
         self._ended.set()
-        self._thread.join(_READ_MS / 1000)
+        self._thread.join(_OPEN_MS / 1000)
 
     def _run(self) -> None:
         complaint: str | None = None
@@ -200,7 +200,7 @@ def _why(source: int | str) -> str:
         return "no video stream; does its address open in a browser or player on this machine?"
     path = Path(f"/dev/video{source}" if isinstance(source, int) else source)
     if not path.exists():
-        return f"{path} not found; is it plugged in? (`ls /dev/video*` lists cameras)"
+        return "not found; is it plugged in? (`ls /dev/video*` lists cameras)"
     if not os.access(path, os.R_OK):
         return "permission denied; add your user to the group video, and log in again"
     return "no video; it is in use by another process, or has no format that OpenCV reads"

@@ -99,7 +99,6 @@ class Link:
         self._sent_s = now_s()
         self._ended = Event()
         self.last = ""  # The last received line.
-        self.received = 0
         self._thread = Thread(target=self._run, name="link", daemon=True)
         self._thread.start()
 
@@ -169,7 +168,9 @@ class Link:
 
     def _connect(self, port: Port) -> None:
         self._ended.wait(self._config.base.settle_s)
-        os.write(port.fileno(), self._config.opening().encode())
+        opening = self._config.opening().encode()
+        if opening:
+            os.write(port.fileno(), opening)
         _log.info("%s is open", self._address)
         with self._lock:
             self._sent_s = now_s()
@@ -192,6 +193,5 @@ class Link:
             arrived_s = now_s()
             for line in filter(None, lines):
                 if len(line) <= _LONGEST:
-                    self.received += 1
                     self.last = printable(line.decode(errors="replace"))
                     self._take(line.decode(errors="replace"), arrived_s)

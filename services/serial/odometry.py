@@ -23,7 +23,7 @@ class Odometer:
         self._pose = (0.0, 0.0, 0.0)
         self._wheels: tuple[float, float] | None = None
         self._read_s: float | None = None
-        self.other = ""  # The last line of another form.
+        self.readings = 0
 
     def take(self, line: str, arrived_s: float) -> None:
         """Take a line of the base."""
@@ -31,10 +31,10 @@ class Odometer:
             return
         values = self._template.read(line)
         if values is None or not all(abs(value) <= _MOST for value in values.values()):
-            self.other = line
             return
         self._pose = self._moved(values, arrived_s)
         self._read_s = arrived_s
+        self.readings += 1
         self.track.add(arrived_s, *self._pose)
 
     def lacks(self) -> str | None:

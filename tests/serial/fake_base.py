@@ -6,6 +6,8 @@ watchdog, and their odometry drifts. A line in FOLDER/harm changes it: ``freeze`
 ``stall`` (the camera sends nothing), ``deaf`` (it reads no line), ``put X Y HEADING``.
 """
 
+# ruff: noqa: T201 - its first line tells its addresses
+
 import http.server
 import json
 import math
