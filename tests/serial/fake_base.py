@@ -19,6 +19,7 @@ import sys
 import threading
 import time
 import tty
+from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -52,6 +53,8 @@ class Base:
         self.harm = folder / "harm"
         self.harmed = ""
         self.due_s = now_s()
+        self.fd = -1  # Of the link; without one its odometry is lost.
+        threading.Thread(target=self.live, daemon=True).start()
 
     def take(self, line: str) -> None:
         """Take a line; whatever it does not understand it ignores, as firmware does."""
@@ -84,26 +87,33 @@ class Base:
             if text.startswith("put"):
                 self.x, self.y, self.heading = map(float, text.split()[1:])
 
+    def live(self) -> None:
+        """Move for ever, and tell the odometry to whoever is connected."""
+        while True:
+            time.sleep(max(0.0, self.due_s - now_s()))
+            self.read_harm()
+            while self.due_s <= now_s():
+                self.step()
+            left, right = map(round, self.ticks)
+            with suppress(OSError):
+                os.write(self.fd, f"o {left} {right}\r\n".encode())
+
     def run(self, fd: int) -> None:
-        """Serve the line at a file descriptor until it breaks."""
+        """Take the lines at a file descriptor until it breaks."""
+        self.fd = fd
         rest = b""
         while True:
-            self.read_harm()
-            wait_s = max(0.0, self.due_s - now_s())
             if self.harmed == "deaf":
-                time.sleep(wait_s)
-            elif select.select([fd], [], [], wait_s)[0]:
-                data = os.read(fd, 4096)
-                if not data:
-                    return
-                *lines, rest = (rest + data).split(b"\n")
-                for line in lines:
-                    self.take(line.decode(errors="replace"))
-            if self.due_s <= now_s():
-                while self.due_s <= now_s():
-                    self.step()
-                left, right = map(round, self.ticks)
-                os.write(fd, f"o {left} {right}\r\n".encode())
+                time.sleep(STEP_S)
+                continue
+            if not select.select([fd], [], [], STEP_S)[0]:
+                continue
+            data = os.read(fd, 4096)
+            if not data:
+                return
+            *lines, rest = (rest + data).split(b"\n")
+            for line in lines:
+                self.take(line.decode(errors="replace"))
 
 
 PAINT = np.random.default_rng(5).integers(0, 255, (6, 64, 16, 3), dtype=np.uint8)
@@ -154,7 +164,10 @@ def serve_camera(base: Base) -> int:
                 if base.harmed != "freeze" or not jpeg:
                     jpeg = cv2.imencode(".jpg", picture(base.x, base.y, base.heading))[1].tobytes()
                 head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
-                self.wfile.write(head.encode() + jpeg + b"\r\n")
+                try:
+                    self.wfile.write(head.encode() + jpeg + b"\r\n")
+                except OSError:  # Nobody watches any more.
+                    return
 
         def log_message(self, *_: object) -> None:
             pass
@@ -179,10 +192,9 @@ def main() -> None:
     print(json.dumps([f"tcp://127.0.0.1:{listener.getsockname()[1]}", camera]), flush=True)
     while True:
         connection, _ = listener.accept()
-        try:
+        with connection, suppress(OSError):
             base.run(connection.fileno())
-        except OSError:
-            connection.close()
+        base.fd = -1
 
 
 if __name__ == "__main__":

@@ -115,7 +115,7 @@ def test_robot_finds_the_goal_when_it_was_taught_once(tmp_path: Path) -> None:
                 status = status_of(bus, "robot")
                 return "no answer" if status is None else status.detail["lacks"]
 
-            until(lambda: lacks() is None)
+            until(lambda: lacks() is None, pause_s=0.2)
             person = Person(client, base)
             person.demonstrate(tmp_path / "drives")
             goal = person.pose
@@ -125,7 +125,7 @@ def test_robot_finds_the_goal_when_it_was_taught_once(tmp_path: Path) -> None:
             for k in range(3):
                 base.harm(f"put {0.02 * k} {0.05 + 0.01 * k} 0.1")
                 until(lambda: person.pose[0] < 0.1)
-                until(lambda: lacks() is None)
+                until(lambda: lacks() is None, pause_s=0.2)
                 said = person.search(tmp_path / "way.smal")
                 found.append((said, math.dist(person.pose[:2], goal[:2])))
                 if said == "found" and found[-1][1] < NEAR_M:

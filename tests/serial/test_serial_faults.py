@@ -96,13 +96,13 @@ def test_no_old_velocity_arrives_when_the_cable_is_back(
             until(robot.moves)
             began_s = now_s()
             proxy.cut = True
-            until(lambda: robot.detail.get("lacks"))
+            until(lambda: robot.detail.get("lacks"), pause_s=0.1)
             robot.atom = None
             time.sleep(1.0)
             moved_s = base.moved_s(began_s)
             proxy.cut = False
             back_s = now_s()
-            until(lambda: robot.detail.get("lacks") is None)
+            until(lambda: robot.detail.get("lacks") is None, pause_s=0.1)
             assert moved_s <= STAND_WITHIN_S + lost_s(began_s)
             # TCP may deliver the lines that were on their way, and no others.
             turned = [step[0] for step in base.steps(back_s) if step[4] or step[5]]
@@ -129,7 +129,7 @@ def test_log_and_status_name_the_missing_base(tmp_path: Path) -> None:
     base = FakeBase(tmp_path, "tcp")
     try:
         with driven(base, config_of(base, "/dev/ttyUSB77")) as robot:
-            until(lambda: robot.detail)
+            until(lambda: robot.detail, pause_s=0.1)
             assert robot.detail["lacks"] == "/dev/ttyUSB77: not found; is it plugged in?"
             log = (tmp_path / "robot.log").read_text()
             assert log.count("/dev/ttyUSB77: not found; is it plugged in?; the robot stands") == 1

@@ -14,7 +14,7 @@ import pytest
 from schemas.base import Velocity
 from schemas.rpc import ResetRequest
 from services.kit.node import ServiceError
-from services.robot.clock import SILENCE_S
+from services.robot.clock import SILENCE_S, now_s
 from services.robot.gate import MAX_AGE_S
 from services.serial.body import STARTS_S, SerialBody
 from services.serial.camera import Arrivals, Picture, VideoSource
@@ -23,7 +23,7 @@ from services.serial.link import Link
 from services.serial.odometry import Odometer
 from tests.command import run_smal
 from tests.serial.fake_base import TICKS_PER_M, TRACK_M
-from tests.serial.rig import FakeBase, config_of, until
+from tests.serial.rig import FakeBase, Proxy, config_of, until
 
 PACE_S = 1 / 15
 
@@ -283,5 +283,28 @@ def test_doctor_checks_each_input_of_a_base(tmp_path: Path) -> None:
         assert done.returncode == 1
         assert "problem  camera     camera 77: not found; is it plugged in?" in done.stdout
         assert "no line of the base fits odometry.line: the last line is 'o 0 0'" in done.stdout
+    finally:
+        base.close()
+
+
+@pytest.mark.system
+def test_pictures_that_waited_for_the_link_are_old(tmp_path: Path) -> None:
+    base = FakeBase(tmp_path, "tcp")
+    proxy = Proxy(base.camera.removesuffix("/stream"))
+    proxy.latency_s = 0.02
+    config = CameraConfig(source=f"http://127.0.0.1:{proxy.port}/stream", latency_s=0.02)
+    try:
+        with closing(VideoSource(config)) as camera:
+            until(lambda: camera.lacks() is None)
+            proxy.cut = True
+            until(lambda: "old" in (camera.lacks() or ""))
+            time.sleep(0.5)
+            last = camera.picture
+            back_s = now_s()
+            proxy.cut = False
+            until(lambda: camera.picture is not last)
+            assert camera.picture.captured_s < back_s - 0.5
+            until(lambda: camera.picture.captured_s > back_s)
+            assert camera.lacks() is None
     finally:
         base.close()
