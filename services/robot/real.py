@@ -25,13 +25,13 @@ Seconds = Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)]
 Silence = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)]
 
 
-class Part(BaseModel):
+class ConfigPart(BaseModel):
     """A part of a configuration."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
 
-class BaseConfig(Part):
+class BaseConfig(ConfigPart):
     """Settings of every real base."""
 
     preset: str | None = None

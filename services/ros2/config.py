@@ -8,7 +8,7 @@ from pydantic import Field, Strict, model_validator
 from services.kit.bus import BusError, host_and_port
 from services.robot import real
 from services.robot.clock import SILENCE_S
-from services.robot.real import BaseConfig, Part, Positive, Seconds, Silence
+from services.robot.real import BaseConfig, ConfigPart, Positive, Seconds, Silence
 from services.ros2 import messages
 from services.ros2.messages import Distribution
 from services.ros2.wire import DialectName, qualified
@@ -19,7 +19,7 @@ Angle = Annotated[float, Field(gt=0, lt=3.15)]
 Topic = Annotated[str, Field(pattern=r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$")]
 
 
-class CameraTopics(Part):
+class CameraTopics(ConfigPart):
     """Topics of the images, as JPEG or pixels (rgb8, bgr8, mono8, yuv422), and of the calibration."""
 
     topic: Topic
@@ -30,7 +30,7 @@ class CameraTopics(Part):
     latency_s: Seconds = 0.0  # From the exposure to the stamp of an image.
 
 
-class Input(Part):
+class Input(ConfigPart):
     """A subscribed topic."""
 
     topic: Topic
@@ -65,7 +65,7 @@ class ScanTopic(Input):
         return self
 
 
-class StopTopic(Part):
+class StopTopic(ConfigPart):
     """A topic that forbids movement: a bumper, a cliff sensor, or a button (a Bool of True)."""
 
     topic: Topic
@@ -79,7 +79,7 @@ class StopTopic(Part):
     silence_s: Silence | None = 0.5
 
 
-class VelocityTopic(Part):
+class VelocityTopic(ConfigPart):
     """Topic of the base's velocity; auto selects the type that it subscribes to."""
 
     topic: Topic = "cmd_vel"

@@ -11,8 +11,8 @@ from services.robot.task import OperatorsTask, Task
 from services.serial.body import SerialBody
 from services.serial.camera import VideoSource
 from services.serial.config import read_config
-from services.serial.link import Link
-from services.serial.odometry import Odometer
+from services.serial.link import LineLink
+from services.serial.odometry import LineOdometry
 
 
 def serve() -> None:
@@ -24,8 +24,8 @@ def serve() -> None:
 
         def open_body(node: Node) -> tuple[SerialBody, Paces[RealView]]:
             node.log.info("%s at %s", config.name, config.base.address)
-            odometer = Odometer(config)
-            link = stacked.enter_context(closing(Link(config, odometer.take)))
+            odometer = LineOdometry(config)
+            link = stacked.enter_context(closing(LineLink(config, odometer.take)))
             camera = stacked.enter_context(closing(VideoSource(config.camera)))
             return SerialBody(config, camera, odometer, link), {}
 

@@ -14,8 +14,8 @@ from services.robot.gate import MAX_AGE_S
 from services.robot.real import RealView, check_real
 from services.serial.camera import Picture, VideoSource
 from services.serial.config import SerialConfig
-from services.serial.link import Link
-from services.serial.odometry import Odometer
+from services.serial.link import LineLink
+from services.serial.odometry import LineOdometry
 from smal.camera import Camera
 
 #: Time until a base that starts shows in its pictures, seconds: its delay, and that of the camera.
@@ -36,8 +36,8 @@ class SerialBody:
         self,
         config: SerialConfig,
         camera: VideoSource,
-        odometer: Odometer,
-        link: Link,
+        odometer: LineOdometry,
+        link: LineLink,
         clock: Callable[[], float] = now_s,
     ) -> None:
         self.name = config.name

@@ -12,10 +12,10 @@ from schemas.base import STANDING
 from services.kit.errors import JobError
 from services.kit.jpeg import encode_jpeg
 from services.robot.clock import SILENCE_S, now_s
-from services.serial.camera import VideoSource
+from services.serial.camera import Picture, VideoSource
 from services.serial.config import SerialConfig
-from services.serial.link import Link
-from services.serial.odometry import Odometer
+from services.serial.link import LineLink
+from services.serial.odometry import LineOdometry
 
 #: Time in which an input must begin to work, and the time of a measurement after that, seconds.
 _WAIT_S: Final = 10.0
@@ -34,6 +34,7 @@ def _wait(lacks: Callable[[], str | None], extra_s: float = 0.0) -> None:
 def check_camera(config: SerialConfig) -> str:
     """Save a picture, and measure the rate and the age of the pictures."""
     ages_s: dict[float, float] = {}  # By exposure.
+    newest: Picture | None = None
     with closing(VideoSource(config.camera)) as camera:
         _wait(camera.lacks)
         until_s = now_s() + _MEASURE_S
@@ -61,9 +62,9 @@ def check_camera(config: SerialConfig) -> str:
 
 def check_base(config: SerialConfig) -> str:
     """Send a stop, and read the odometry."""
-    odometer = Odometer(config)
+    odometer = LineOdometry(config)
     stop = config.command(STANDING)
-    with closing(Link(config, odometer.take)) as link:
+    with closing(LineLink(config, odometer.take)) as link:
         _wait(link.lacks, config.base.settle_s)
         began_s = now_s()
         while now_s() - began_s < _MEASURE_S:

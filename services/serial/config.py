@@ -10,7 +10,7 @@ from pydantic import Field, Strict, model_validator
 
 from schemas.base import STANDING, Velocity
 from services.robot import real
-from services.robot.real import BaseConfig, Part, Positive, Seconds, Silence
+from services.robot.real import BaseConfig, ConfigPart, Positive, Seconds, Silence
 from services.serial.template import Template
 
 PRESETS: Final = Path(__file__).parent / "presets"
@@ -32,7 +32,7 @@ ODOMETRY: Final = (
 _DIFFERENT: Final = (STANDING, Velocity(1.0, 0.0), Velocity(1.0, 0.5))
 
 
-class CameraConfig(Part):
+class CameraConfig(ConfigPart):
     """A camera that OpenCV opens."""
 
     #: Index of a camera, device (/dev/video0), address (rtsp://, http:// of MJPEG), or video file.
@@ -44,7 +44,7 @@ class CameraConfig(Part):
     field_deg: Annotated[float | None, Field(ge=5, le=170)] = None
 
 
-class Lines(Part):
+class Lines(ConfigPart):
     """Address of the base, and its line of a velocity."""
 
     address: str  # A serial port (/dev/ttyUSB0), tcp://HOST:PORT or udp://HOST:PORT.
@@ -57,12 +57,33 @@ class Lines(Part):
     #: Speed of a wheel at a share of 1; the speed of the base by default.
     wheel_m_s: Positive | None = None
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if not _is_address(self.address):
+            raise ValueError(
+                f"base.address: {self.address!r} must be a serial port such as /dev/ttyUSB0, "
+                "tcp://HOST:PORT or udp://HOST:PORT"
+            )
+        return self
 
-class OdometryLine(Part):
+
+class OdometryLine(ConfigPart):
     """A line with which the base reports its odometry."""
 
     line: str
     silence_s: Silence = 0.5
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        found = set(self.template().names)
+        if not any(found == set(names) for names in ODOMETRY):
+            sets = "; ".join(" ".join(f"{{{name}}}" for name in names) for names in ODOMETRY)
+            raise ValueError(f"odometry.line: must have the numbers of one of: {sets}")
+        return self
+
+    def template(self) -> Template:
+        """Return the template of the line."""
+        return _template("odometry.line", self.line, tuple(chain(*ODOMETRY)))
 
 
 class SerialConfig(BaseConfig):
@@ -74,22 +95,9 @@ class SerialConfig(BaseConfig):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if not _is_address(self.base.address):
-            raise ValueError(
-                f"base.address: {self.base.address!r} must be a serial port such as /dev/ttyUSB0, "
-                "tcp://HOST:PORT or udp://HOST:PORT"
-            )
-        opening = [_template("base.opening", line, COMMAND) for line in self.base.opening]
-        commands = [_template("base.velocity", self.base.velocity, COMMAND), *opening]
-        used = {name for command in commands for name in command.names}
+        used = self._used()
         if "steering" in used and not self.radius_m:
             raise ValueError("radius_m: required for {steering} (minimum turning radius, metres)")
-        if self.odometry is not None:
-            found = set(self.odometry_template().names)
-            if not any(found == set(names) for names in ODOMETRY):
-                sets = "; ".join(" ".join(f"{{{name}}}" for name in names) for names in ODOMETRY)
-                raise ValueError(f"odometry.line: must have the numbers of one of: {sets}")
-            used |= found
         if used & _OF_WHEELS and self.base.track_m is None:
             raise ValueError("base.track_m: required for wheels (distance left to right, metres)")
         if len({self.command(velocity) for velocity in _DIFFERENT}) < len(_DIFFERENT):
@@ -99,10 +107,13 @@ class SerialConfig(BaseConfig):
             )
         return self
 
-    def odometry_template(self) -> Template:
-        """Return the template of an odometry line."""
-        assert self.odometry is not None  # noqa: S101 - for the type checker
-        return _template("odometry.line", self.odometry.line, tuple(chain(*ODOMETRY)))
+    def _used(self) -> set[str]:
+        """Return the numbers of all lines."""
+        lines = [_template("base.opening", line, COMMAND) for line in self.base.opening]
+        lines.append(_template("base.velocity", self.base.velocity, COMMAND))
+        if self.odometry is not None:
+            lines.append(self.odometry.template())
+        return {name for line in lines for name in line.names}
 
     def command(self, velocity: Velocity) -> str:
         """Return the text that makes the base drive at a velocity."""

@@ -80,7 +80,7 @@ def _discard(port: Port) -> None:
             termios.tcflush(port.fileno(), termios.TCOFLUSH)
 
 
-class Link:
+class LineLink:
     """Sends text and receives lines; reconnects by itself.
 
     Any thread can call ``send``, which never waits. The link's own thread calls ``take`` with each

@@ -12,11 +12,11 @@ from services.serial.config import SerialConfig
 _MOST: Final = 1e9
 
 
-class Odometer:
+class LineOdometry:
     """Reads odometry lines; one thread calls ``take``."""
 
     def __init__(self, config: SerialConfig) -> None:
-        self._template = None if config.odometry is None else config.odometry_template()
+        self._template = None if config.odometry is None else config.odometry.template()
         self._track_m = config.base.track_m or math.inf
         self._silence_s = 0.0 if config.odometry is None else config.odometry.silence_s
         self.track = WheelTrack(config.speed_m_s, config.turn_rate_rad_s, self._silence_s)

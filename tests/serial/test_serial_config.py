@@ -72,7 +72,9 @@ def test_preset_reads_the_odometry_of_its_base(
 ) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(f"preset: {preset}\nwatchdog_s: 0.2\n")
-    assert read_config(path).odometry_template().read(line) == values
+    odometry = read_config(path).odometry
+    assert odometry is not None
+    assert odometry.template().read(line) == values
 
 
 def test_shares_of_the_wheels_keep_the_curve_at_their_limit(tmp_path: Path) -> None:

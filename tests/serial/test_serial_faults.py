@@ -79,7 +79,8 @@ def test_odometry_follows_the_wheels(robot: Driven) -> None:
     until(robot.moves)
     heard = collected(robot.bus, topics.ODOMETRY)
     until(lambda: len(heard) > 20)
-    first, last = heard[5], heard[20]
+    first = heard[5]
+    last = heard[20]
     assert last.heading_rad != first.heading_rad
     assert abs(last.turn_rate_rad_s - 0.8) < 0.4
     assert robot.detail["odometry_leaps"] == 0

@@ -19,8 +19,8 @@ from services.robot.gate import MAX_AGE_S
 from services.serial.body import STARTS_S, SerialBody
 from services.serial.camera import Arrivals, Picture, VideoSource
 from services.serial.config import CameraConfig, SerialConfig, read_config
-from services.serial.link import Link
-from services.serial.odometry import Odometer
+from services.serial.link import LineLink
+from services.serial.odometry import LineOdometry
 from tests.command import run_smal
 from tests.serial.fake_base import TICKS_PER_M, TRACK_M
 from tests.serial.rig import FakeBase, Proxy, config_of, until
@@ -148,7 +148,7 @@ class Rig:
         self.config = read_config(path)
         self.camera = Still()
         self.link = Sent()
-        self.odometer = Odometer(self.config)
+        self.odometer = LineOdometry(self.config)
         self.now_s = 50.0
         self.body = SerialBody(
             self.config, self.camera, self.odometer, self.link, lambda: self.now_s
@@ -232,7 +232,7 @@ def test_link_reaches_a_base_by_udp(tmp_path: Path) -> None:
         rig = Rig(tmp_path)
         told = config_of(FakeCamera, f"udp://127.0.0.1:{base.getsockname()[1]}")
         (tmp_path / "mine.yaml").write_text(json.dumps(told))
-        link = Link(read_config(tmp_path / "mine.yaml"), lambda line, _at_s: lines.append(line))
+        link = LineLink(read_config(tmp_path / "mine.yaml"), lambda line, _at_s: lines.append(line))
         with closing(link):
             until(lambda: link.lacks() is None)
             link.send(rig.config.command(Velocity(1.0, 0.0)))
@@ -251,7 +251,7 @@ def test_link_drops_a_velocity_when_the_earlier_one_waits(tmp_path: Path) -> Non
         told["base"]["velocity"] = "v {left_m_s:.3f} {right_m_s:.3f} " + "x" * 4000
         (tmp_path / "mine.yaml").write_text(json.dumps(told))
         config = read_config(tmp_path / "mine.yaml")
-        link = Link(config, lambda _line, _at_s: None)
+        link = LineLink(config, lambda _line, _at_s: None)
         with closing(link):
             until(lambda: link.lacks() is None)
             connection, _ = server.accept()
