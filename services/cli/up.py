@@ -279,12 +279,12 @@ def _run(plan: StackPlan, where: str, metrics: dict[str, int]) -> None:
 def base_name(kind: str, path: Path) -> str:
     """Return the name of a real base; UsageError if its configuration is invalid."""
     try:
-        config = import_module(f"services.{kind}.config")
+        service = import_module(f"services.{kind}.__main__")
     except ModuleNotFoundError as error:
         raise UsageError(
             f"--robot-body {kind}: package {error.name} not found; pip install -e '.[{kind}]'"
         ) from None
-    return str(config.read_config(path).name)
+    return str(service.read_config(path).name)
 
 
 def _check_addresses(

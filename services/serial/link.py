@@ -123,8 +123,9 @@ class LineLink:
         self._thread.join()
 
     def _write(self, port: Port, data: bytes) -> None:
+        most = _ON_THEIR_WAY * len(data) if isinstance(port, socket.socket) else 0
         waiting = struct.unpack("i", fcntl.ioctl(port.fileno(), termios.TIOCOUTQ, bytes(4)))[0]
-        if waiting > _ON_THEIR_WAY * len(data) * isinstance(port, socket.socket):
+        if waiting > most:
             if self._asked_s - self._sent_s > SILENCE_S:
                 raise TimeoutError(f"takes no data for {SILENCE_S:g} s")
             return

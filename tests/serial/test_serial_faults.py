@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from schemas import topics
+from schemas.rpc import LookReply, Nothing
 from services.robot.loop import STAND_WITHIN_S
 from tests.serial.fake_base import now_s
 from tests.serial.rig import Driven, FakeBase, Proxy, config_of, driven, until
@@ -119,6 +120,9 @@ def test_base_drives_without_odometry(tmp_path: Path) -> None:
     try:
         with driven(base, config_of(base, base.address, odometry=None)) as robot:
             heard = collected(robot.bus, topics.ODOMETRY)
+            until(lambda: robot.detail.get("lacks", "") is None, pause_s=0.1)
+            look = robot.bus.call("robot", "look", Nothing(), LookReply)  # As the page does.
+            assert look.picture is not None
             until(robot.moves)
             assert robot.detail["lacks"] is None
             assert not heard
