@@ -3,16 +3,18 @@
 ``python -m tests.serial.fake_base FOLDER tcp|pty WATCHDOG_S`` prints the address of the base and of the camera (MJPEG),
 and logs each step of the wheels to FOLDER/steps.jsonl. It drives in a room with painted walls. Its wheels have a
 watchdog, and their odometry drifts. A line in FOLDER/harm changes it: ``freeze`` (the camera repeats its picture),
-``stall`` (the camera sends nothing), ``deaf`` (it reads no line), ``put X Y HEADING``.
+``stall`` (the camera sends nothing), ``deaf`` (it reads no line), ``lossy`` (it loses lines, and garbles its own),
+``put X Y HEADING``.
 """
 
-# ruff: noqa: T201 - its first line tells its addresses
+# ruff: noqa: S311, T201 - chance is no secret, and its first line tells its addresses
 
 import http.server
 import json
 import math
 import os
 import pty
+import random
 import select
 import socket
 import sys
@@ -59,6 +61,8 @@ class Base:
     def take(self, line: str) -> None:
         """Take a line; whatever it does not understand it ignores, as firmware does."""
         words = line.split()
+        if self.harmed == "lossy" and random.random() < 0.3:
+            return
         if len(words) == 3 and words[0] == "v":
             try:
                 self.ordered = (float(words[1]), float(words[2]))
@@ -95,8 +99,11 @@ class Base:
             while self.due_s <= now_s():
                 self.step()
             left, right = map(round, self.ticks)
+            told = f"o {left} {right}\r\n".encode()
+            if self.harmed == "lossy" and random.random() < 0.3:
+                told = b"\xff\x00o " + told[: random.randrange(len(told))]
             with suppress(OSError):
-                os.write(self.fd, f"o {left} {right}\r\n".encode())
+                os.write(self.fd, told)
 
     def run(self, fd: int) -> None:
         """Take the lines at a file descriptor until it breaks."""
