@@ -17,7 +17,7 @@ import termios
 from collections.abc import Callable
 from contextlib import suppress
 from threading import Event, Lock, Thread
-from typing import Final, Protocol
+from typing import Any, Final, TypeAlias
 from urllib.parse import urlsplit
 
 import serial
@@ -43,24 +43,15 @@ _REASONS: Final = {
     errno.ECONNREFUSED: "connection refused; no process listens there",
 }
 _log = logging.getLogger("serial")
-
-
-class Port(Protocol):
-    """A serial port or a socket, which never waits."""
-
-    def fileno(self) -> int:
-        """Return the file descriptor."""
-
-    def close(self) -> None:
-        """Close it."""
+# A `serial.Serial` or a socket, which never waits.
+Port: TypeAlias = Any
 
 
 def opened(address: str, baud: int) -> Port:
     """Open a serial port (a path), tcp://HOST:PORT or udp://HOST:PORT; OSError if it fails."""
     where = urlsplit(address)
     if not where.scheme:
-        port: Port = serial.Serial(address, baud, timeout=0, write_timeout=0, exclusive=True)
-        return port
+        return serial.Serial(address, baud, timeout=0, write_timeout=0, exclusive=True)
     kind = socket.SOCK_DGRAM if where.scheme == "udp" else socket.SOCK_STREAM
     network = socket.socket(socket.AF_INET, kind)
     network.settimeout(_CONNECT_S)
@@ -93,7 +84,7 @@ class LineLink:
         self._stop = config.command(STANDING)
         self._take = take
         self._lock = Lock()
-        self._port: Port | None = None
+        self._port: Port = None
         self._lacks: str | None = f"{self._address}: not open yet"
         self._asked_s = now_s()
         self._sent_s = now_s()
