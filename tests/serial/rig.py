@@ -28,7 +28,7 @@ WATCHDOG_S = 0.2
 SPEED_M_S = 0.4
 
 
-def until(holds: Callable[[], object], timeout_s: float = 60.0, pause_s: float = 0.005) -> None:
+def until(holds: Callable[[], object], timeout_s: float = 100.0, pause_s: float = 0.005) -> None:
     """Wait until something holds; calls of a service need a pause, or its router takes them for a flood."""
     deadline_s = time.monotonic() + timeout_s
     while not holds():

@@ -24,7 +24,7 @@ from tests.command import run_smal
 from tests.serial.rig import FakeBase, config_of, until
 from tests.services.waiting import ready, status_of
 
-pytestmark = [pytest.mark.zenoh, pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.zenoh, pytest.mark.system, pytest.mark.timeout(900)]
 NEAR_M = 0.6  # Distance from the end of the taught drive at which it counts as found.
 
 
@@ -43,7 +43,7 @@ def stack_of(folder: Path, config: Path) -> Iterator[EpisodeClient]:
         up = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
         stacked.callback(up.wait)
         stacked.callback(up.terminate)
-        until(lambda: "ready: robot fake" in (folder / "up.log").read_text())
+        until(lambda: "ready: robot fake" in (folder / "up.log").read_text(), 300.0)
         settings = ServiceSettings(robot="fake", router=endpoint)
         client = stacked.enter_context(closing(EpisodeClient("person", settings)))
         client.node.bus.wait_connected(100.0)
