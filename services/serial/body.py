@@ -12,7 +12,7 @@ from services.robot.body import Beginning, Kinematics
 from services.robot.clock import SILENCE_S, now_s
 from services.robot.gate import MAX_AGE_S
 from services.robot.real import RealView, check_real
-from services.serial.camera import Picture, VideoSource
+from services.serial.camera import VideoSource
 from services.serial.config import SerialConfig
 from services.serial.link import LineLink
 from services.serial.odometry import LineOdometry
@@ -49,7 +49,6 @@ class SerialBody:
         self._odometer = odometer
         self._link = link
         self._clock = clock
-        self._picture: Picture | None = None
         self._drives_since_s: float | None = None
         self._lacked = False
 
@@ -103,16 +102,15 @@ class SerialBody:
             raise ServiceError(
                 f"{self.name}: {lacks}; smal doctor --robot-config FILE checks each input"
             )
-        self._picture = picture
         self._odometer.track.begin(picture.captured_s)
         return Beginning()
 
     def look(self, tick: int) -> RealView:
         """Return the newest picture and its odometry; without a required input it is not new."""
         del tick
-        self._picture = self._camera.picture or self._picture
-        assert self._picture is not None  # noqa: S101 - begin has seen a picture
-        captured_s = self._picture.captured_s
+        picture = self._camera.picture
+        assert picture is not None  # noqa: S101 - begin has seen a picture
+        captured_s = picture.captured_s
         lacks = self._lacks()
         if (lacks is not None) != self._lacked:
             self._lacked = lacks is not None
@@ -120,7 +118,7 @@ class SerialBody:
         if lacks is not None:
             captured_s = min(captured_s, self._clock() - MAX_AGE_S)
         odometry = self._odometer.track.reading(captured_s)
-        return RealView(encode_jpeg(self._picture.image), captured_s, False, odometry, None)
+        return RealView(encode_jpeg(picture.image), captured_s, False, odometry, None)
 
     def peek(self) -> bytes | None:
         """Return the newest picture, as JPEG; None while the camera is silent."""
