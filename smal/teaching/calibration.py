@@ -4,6 +4,7 @@ Views are compared at poses with nearly the same heading, because a turned view 
 has the same heading twice. There a virtual view compensates the turn between two views, as in the filter.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +18,7 @@ from smal.arrays import AnyArray, Bools, Float32s, Floats, Indices, Int8s, Int32
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
 from smal.features.extraction import in_parallel
 from smal.features.resizing import PIXELS, fitted
-from smal.files.packed import unpacked
+from smal.files.packed import unit, unpacked
 from smal.keyframes import MapConfig
 from smal.likelihood import Likelihood, standing_out
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
@@ -484,13 +485,17 @@ class _KeyframeViews:
         cosine = unpacked(self.views[other, 1, turn]) @ own
         return float(standing_out(cosine, self.sample @ own))
 
-    def wrong_ways(self, keys: Indices, blocks: Indices, least: float) -> Iterator[Floats]:
+    def wrong_ways(
+        self, keys: Indices, own: Float32s, blocks: Indices, least: float
+    ) -> Iterator[Floats]:
         """Compare a robot's way with the ways of equally many keyframes from each keyframe of each block.
 
         Parameters
         ----------
         keys : array (s,)
             The robot's way.
+        own : array (s, r)
+            The robot's views there.
         blocks : array (n,)
             First keyframes of blocks of s keyframes. Blocks near the robot's way, or not on its drive, are skipped.
         least : float
@@ -502,7 +507,6 @@ class _KeyframeViews:
             z by the start of the way in the block, the step on the way, and the view that is kept on it.
         """
         steps = np.arange(keys.size)
-        own = self.own(keys)
         samples = own @ self.sample.T
         for block in blocks:
             rows = np.arange(block, block + 2 * keys.size - 1)
@@ -520,6 +524,7 @@ def likelihood_of_views(
     frames: TaughtFrames,
     keyframes: Int32s,
     views: Int8s,
+    basis: Float32s,
     length: float,
     config: MapConfig,
 ) -> tuple[Likelihood, float]:
@@ -527,6 +532,10 @@ def likelihood_of_views(
 
     The neighbours of a keyframe show the same place. Keyframes further away than `MapConfig.elsewhere` on the same
     drive show other places. Without such places (a short drive in one room) the distributions of elsewhere are normal.
+
+    A robot elsewhere sees another taught place, or a view that no drive has shown, such as the way back. Views of the
+    second kind are like the taught ones in light, texture and layout, so that they resemble some taught view more than
+    taught views resemble each other. Mirrored taught views stand for them.
 
     Particles at a wrong place follow the start, the side and the turn that suit the views best. Elsewhere is measured
     so: over a correlation length of keyframes, on the way of a block whose mean z is largest.
@@ -536,6 +545,7 @@ def likelihood_of_views(
     frames : TaughtFrames
     keyframes : array (k,)
     views : array (k, 3, turns, r)
+    basis : array (m, r)
     length : float
         Correlation length.
     config : MapConfig
@@ -570,7 +580,13 @@ def likelihood_of_views(
             f"{_OVERLAP_DEG:g} degrees from an image to the next; turn more slowly, or record more "
             "images a second"
         )
-    fixed, followed, chains = _elsewhere(taught, length, frames.config, config)
+
+    def mirrored(keys: Indices) -> Float32s:
+        images = (np.ascontiguousarray(frames.images[k][:, ::-1]) for k in keyframes[keys].tolist())
+        return unit(frames.describe(images) @ basis)
+
+    seen_by = (taught.own, mirrored)
+    fixed, followed, chains = _elsewhere(taught, seen_by, length, frames.config, config)
     correlation = _correlation(chains)
     gamma = gamma_of(float(np.mean(alike)), correlation)
     independent = _independent(taught.poses, drives, length)
@@ -578,11 +594,15 @@ def likelihood_of_views(
 
 
 def _elsewhere(
-    taught: _KeyframeViews, length: float, config: CalibrationConfig, map_config: MapConfig
+    taught: _KeyframeViews,
+    seen_by: Sequence[Callable[[Indices], Float32s]],
+    length: float,
+    config: CalibrationConfig,
+    map_config: MapConfig,
 ) -> tuple[Floats, Floats, Floats]:
     """Return z at fixed views of other places, z on the best of neighbouring wrong ways, and pairs of following z.
 
-    The shapes are (n,), (m,) and (2, p).
+    The shapes are (n,), (m,) and (2, p). Each function of `seen_by` returns views of robots at keyframes, (s, r).
     """
     steps = map_config.views_a_length
     count = len(taught.drives)
@@ -595,7 +615,9 @@ def _elsewhere(
         keys = np.arange(first, first + steps)
         if taught.drives[keys[0]] != taught.drives[keys[-1]]:
             continue
-        for z in taught.wrong_ways(keys, blocks, map_config.elsewhere * length):
+        least = map_config.elsewhere * length
+        ways = [taught.wrong_ways(keys, views(keys), blocks, least) for views in seen_by]
+        for z in itertools.chain(*ways):
             fixed.append(z.ravel())
             start, view = np.unravel_index(z.mean(axis=1).argmax(), z[:, 0].shape)
             followed.append(z[start, :, view])

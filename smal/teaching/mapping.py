@@ -124,7 +124,7 @@ def learn(
     keyframes = _choose_keyframes(frames.poses, frames.drives, length, config)
     views_of = partial(_views_of, scene, aside, centering)
     views, basis = _make_views(frames, keyframes, views_of, progress, parallel, config)
-    likelihood, correlation = likelihood_of_views(frames, keyframes, views, length, config)
+    likelihood, correlation = likelihood_of_views(frames, keyframes, views, basis, length, config)
     grey = np.full_like(frames.images[0], 128)
     height, width = images[0].shape[:2]
     visual_map = VisualMap(
