@@ -73,9 +73,9 @@ class PlannerConfig:
         """Total turn of looking around: to one side, back, and once round to the start."""
         return math.tau + 2.0 * math.radians(self.look_aside_deg)
 
-    def search_rad(self, field_deg: float) -> float:
+    def search_rad(self, field_rad: float) -> float:
         """Return the turn of a search at the goal: once round and a field of view more, for a base that slips."""
-        return math.tau + math.radians(field_deg)
+        return math.tau + field_rad
 
 
 PLANNER_CONFIG: Final = PlannerConfig()
