@@ -27,7 +27,7 @@ _STEP: Final = 2
 #: The same for the cells that a keyframe stores.
 _KEPT: Final = 3
 #: Time of driving, seconds, within which the ground ahead is inspected.
-LOOKS_S: Final = 3.0
+INSPECTS_S: Final = 3.0
 #: Byte values of a colour of 1; the brightest is 1.22.
 _FINE: Final = 200.0
 
@@ -89,7 +89,7 @@ class Ground:
 
 def swept(speed: float) -> Floats:
     """Return the distances along the way at which a robot of this speed inspects the ground, (s,): every 0.1 s."""
-    return np.linspace(0.0, LOOKS_S * speed, 32)
+    return np.linspace(0.0, INSPECTS_S * speed, 32)
 
 
 def colours_of(picture: Image) -> Uint8s:
@@ -103,12 +103,11 @@ def patches(
     colours: Uint8s,
     way: Floats,
     mapped: VisualMap,
-    config: GroundConfig = GROUND_CONFIG,
 ) -> tuple[Floats, Floats]:
     """Return for each patch of the swept ground its distance along the way, and its distance from all colours."""
     width, height = mapped.size
     ahead, left = _ground(mapped.scene, height / width)
-    near = _swept_cells(ahead, left, way, config.swept * mapped.scene.height)
+    near = _swept_cells(ahead, left, way, GROUND_CONFIG.swept * mapped.scene.height)
     if not near.size:
         return np.empty(0), np.empty(0)
     cells = _mean_colours(picture, _STEP).reshape(-1, 3)[near]
@@ -121,7 +120,7 @@ def patches(
     count.flat[near] = 1.0
     sums = _in_patches(sums)
     count = _in_patches(count)
-    whole = np.flatnonzero(count >= config.patch_known)
+    whole = np.flatnonzero(count >= GROUND_CONFIG.patch_known)
     return ahead.ravel()[whole], sums.flat[whole] / count.flat[whole]
 
 
@@ -136,12 +135,12 @@ def _swept_cells(ahead: Floats, left: Floats, way: Floats, half_width: float) ->
     return np.asarray(near[inside])
 
 
-def extreme(scores: Sequence[float], config: GroundConfig = GROUND_CONFIG) -> float:
+def extreme(scores: Sequence[float]) -> float:
     """Return the threshold that one of `GroundConfig.views` exceeds, by an exponential tail of the highest tenth."""
     usual = float(np.quantile(scores, 0.9))
     beyond = [score - usual for score in scores if score > usual]
     mean = float(np.mean(beyond or [usual]))
-    return usual + mean * math.log(0.1 * config.views)
+    return usual + mean * math.log(0.1 * GROUND_CONFIG.views)
 
 
 def _mean_colours(picture: Image, step: int) -> Float32s:

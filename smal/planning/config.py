@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from smal.obstacles.strange import LOOKS_S
+from smal.obstacles.strange import INSPECTS_S
 from smal.sought.sight import TARGET_CONFIG
 
 
@@ -49,7 +49,7 @@ class PlannerConfig:
     closed_s: float = 60.0
     #: Distances at which unexpected ground slows the robot down to a share of its speed, and stops it. Indoors the
     #: ground is visible from 1.5 s on.
-    slows_s: float = LOOKS_S
+    slows_s: float = INSPECTS_S
     slowly: float = 0.5
     stops_s: float = 2.0
     #: A visible target counts as found within this multiple of the distance at which the taught ways ended.
