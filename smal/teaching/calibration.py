@@ -4,7 +4,6 @@ Views are compared at poses with nearly the same heading, because a turned view 
 has the same heading twice. There a virtual view compensates the turn between two views, as in the filter.
 """
 
-import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -585,24 +584,26 @@ def likelihood_of_views(
         images = (np.ascontiguousarray(frames.images[k][:, ::-1]) for k in keyframes[keys].tolist())
         return unit(frames.describe(images) @ basis)
 
-    seen_by = (taught.own, mirrored)
-    fixed, followed, chains = _elsewhere(taught, seen_by, length, frames.config, config)
+    fixed, followed, chains = _elsewhere(taught, taught.own, length, frames.config, config)
     correlation = _correlation(chains)
     gamma = gamma_of(float(np.mean(alike)), correlation)
-    independent = _independent(taught.poses, drives, length)
+    untaught, by_untaught, _ = _elsewhere(taught, mirrored, length, frames.config, config)
+    fixed = np.concatenate([fixed, untaught])
+    followed = np.concatenate([followed, by_untaught])
+    independent = 2.0 * _independent(taught.poses, drives, length)
     return Likelihood.fit(np.array(here), fixed, followed, independent, gamma, config), correlation
 
 
 def _elsewhere(
     taught: _KeyframeViews,
-    seen_by: Sequence[Callable[[Indices], Float32s]],
+    views: Callable[[Indices], Float32s],
     length: float,
     config: CalibrationConfig,
     map_config: MapConfig,
 ) -> tuple[Floats, Floats, Floats]:
     """Return z at fixed views of other places, z on the best of neighbouring wrong ways, and pairs of following z.
 
-    The shapes are (n,), (m,) and (2, p). Each function of `seen_by` returns views of robots at keyframes, (s, r).
+    The shapes are (n,), (m,) and (2, p). The function `views` returns the views of a robot at keyframes, (s, r).
     """
     steps = map_config.views_a_length
     count = len(taught.drives)
@@ -616,8 +617,7 @@ def _elsewhere(
         if taught.drives[keys[0]] != taught.drives[keys[-1]]:
             continue
         least = map_config.elsewhere * length
-        ways = [taught.wrong_ways(keys, views(keys), blocks, least) for views in seen_by]
-        for z in itertools.chain(*ways):
+        for z in taught.wrong_ways(keys, views(keys), blocks, least):
             fixed.append(z.ravel())
             start, view = np.unravel_index(z.mean(axis=1).argmax(), z[:, 0].shape)
             followed.append(z[start, :, view])
