@@ -29,6 +29,7 @@ from smal.sought.sight import (
     Sight,
     TargetConfig,
     cells_of,
+    lower_quantile,
     nearest,
 )
 from smal.sought.word import Word, area, best
@@ -113,7 +114,7 @@ class _Way:
         numbers = range(len(self.cells))
         apart = in_parallel(lambda k: nearest(self.cells[k], self.elsewhere(k)), numbers)
         distances = np.concatenate([each.ravel() for each in apart])
-        return float(np.quantile(distances, share))
+        return lower_quantile(distances, share)
 
 
 def learn_sight(drives: Sequence[Taught], config: TargetConfig = TARGET_CONFIG) -> Sight | None:

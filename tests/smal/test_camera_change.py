@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from smal.camera_change import CameraPitch
+from smal.features import FeatureSettings
 from smal.features.percept import perceive
 from smal.model import Model
 from smal.robot import Localizer
@@ -59,6 +60,16 @@ def test_pitch_is_estimated_when_the_camera_has_changed(
 @pytest.mark.parametrize("light", [0.6, 1.0])
 def test_pitch_stays_when_only_the_light_has_changed(light: float) -> None:
     assert followed(light).pitch_deg == 0.0
+
+
+def test_pitch_stays_when_the_network_of_features_is_elsewhere(
+    pitch_camera: Callable[[float], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual_map()
+    pitch_camera(5.0)
+    monkeypatch.setattr(FeatureSettings, "computable", False)
+    monkeypatch.setattr("smal.camera_change.extract", None)
+    assert followed().pitch_deg == 0.0
 
 
 def test_levelled_percept_is_like_the_taught_one_when_pitched(

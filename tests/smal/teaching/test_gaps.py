@@ -85,6 +85,7 @@ def test_gap_is_bridged_by_odometry_when_there_is_any() -> None:
     assert uses[0].note == "1 gap (1.0 s) bridged by odometry"
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_drives_are_reported_when_they_teach_nothing() -> None:
     (good,) = parts([np.arange(len(IMAGES))])
     failed = replace(good, name="failed", episode="failed", successful=False)
