@@ -25,7 +25,7 @@ from smal.camera import Camera
 from smal.features import FeatureSettings
 from smal.model import Model
 from smal.paper.model import PaperModel
-from smal.teaching.demonstration import Use, whole_drives
+from smal.teaching.demonstration import DriveUse, whole_drives
 from tests import corridor
 from tests.services.recordings.recorded_messages import applied, event, header, seen
 from tests.services.recordings.test_recorder_files import leave, record
@@ -114,7 +114,7 @@ def test_learn_omits_episodes_when_they_must_not_teach(
     tmp_path: Path, purpose: Purpose, outcome: Outcome, reason: str
 ) -> None:
     path = record(tmp_path, drive("e", purpose=purpose, outcome=outcome))
-    assert teach(path).teaching.uses == [Use("e", 40, 0, reason)]
+    assert teach(path).teaching.uses == [DriveUse("e", 40, 0, reason)]
     with pytest.raises(JobError, match="episode e left out"):
         learn(lessons=Lessons([path], tmp_path / "model.smal"))
 
@@ -141,7 +141,7 @@ def test_an_episode_teaches_once(drives: Path, tmp_path: Path) -> None:
     copy.write_bytes((drives / "drive-1.mcap").read_bytes())
     teaching = teach(drives, copy, drives / "drive-1.mcap").teaching
     assert len(teaching.demonstrations) == 4
-    assert teaching.uses == [Use("drive-1", 40, 0, f"already in {drives / 'drive-1.mcap'}")]
+    assert teaching.uses == [DriveUse("drive-1", 40, 0, f"already in {drives / 'drive-1.mcap'}")]
 
 
 def test_damaged_recordings_are_named_and_the_rest_teaches(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from smal.features import extract
 from smal.map import VisualMap
 from smal.movement import Atom
-from smal.teaching.demonstration import Demonstration, Use, described
+from smal.teaching.demonstration import Demonstration, DriveUse, described
 from smal.teaching.mapping import learn
 from tests.smal.synthetic_world import CAMERA, COLOR, Room, drive
 
@@ -42,8 +42,8 @@ def parts(
     return found
 
 
-def taught(demonstrations: Sequence[Demonstration]) -> tuple[VisualMap, list[Use]]:
-    uses: list[Use] = []
+def taught(demonstrations: Sequence[Demonstration]) -> tuple[VisualMap, list[DriveUse]]:
+    uses: list[DriveUse] = []
     return learn(demonstrations, COLOR, report=uses.append).mapped, uses
 
 
