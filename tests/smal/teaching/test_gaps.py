@@ -71,6 +71,13 @@ def test_drive_is_whole_when_the_robot_drove_in_a_gap(lost: int) -> None:
     assert length(mapped) == pytest.approx(length(whole), abs=0.4 * lost + 1.0)
 
 
+def test_drive_is_whole_when_every_third_frame_is_lost() -> None:
+    pairs = [np.array([k, k + 1]) for k in range(0, len(IMAGES) - 1, 3)]
+    mapped, _ = taught(parts(pairs, lost=1))
+    whole, _ = taught(parts([np.arange(len(IMAGES))]))
+    assert length(mapped) == pytest.approx(length(whole), rel=0.15)
+
+
 def test_way_across_a_gap_is_limited_when_views_are_unrelated() -> None:
     apart = np.arange(len(IMAGES) - 8, len(IMAGES))
     mapped, _ = taught(parts([np.arange(30), apart], lost=100_000))
