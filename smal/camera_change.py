@@ -83,6 +83,7 @@ class CameraPitch:
         width, height = visual_map.size
         self._shape = fitted((height, width), PIXELS)
         self._spacing = 1.0 / visual_map.config.views_a_length
+        self._computable = centering.settings.computable
         self.reset()
 
     def reset(self, pitch_deg: float = 0.0) -> None:
@@ -115,6 +116,8 @@ class CameraPitch:
     ) -> bool:
         """Take the picture of a frame into account, as far as the time of a frame allows.
 
+        Without the network of the features the pitch is not estimated.
+
         Parameters
         ----------
         picture : array, optional
@@ -141,7 +144,8 @@ class CameraPitch:
 
     def _begun(self, picture: Uint8s | None, keyframe: int, certainty: float) -> _Comparison | None:
         """Begin a comparison if the view is new and the place is certain."""
-        if picture is None or certainty < self._config.certain or self._lengths < self._apart:
+        certain = certainty >= self._config.certain and self._lengths >= self._apart
+        if picture is None or not certain or not self._computable:
             return None
         near = beside(self._map, keyframe, self._map.config.neighbours)
         views = unpacked(self._map.views[near]).reshape(-1, self._map.basis.shape[1])

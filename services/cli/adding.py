@@ -13,7 +13,7 @@ from services.experiments.words import remark
 from services.kit.errors import JobError, UsageError
 from services.recordings.dataset import Teacher
 from smal.model import Model
-from smal.teaching.demonstration import Use, whole_drives
+from smal.teaching.demonstration import DriveUse, whole_drives
 from smal.teaching.map_update import Verdict, update_map
 
 # Maximum number of earlier versions beside a model (NAME.smal.1, NAME.smal.2 …).
@@ -72,7 +72,7 @@ def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]
         if drive.whole.goal not in model.mapped.goals:
             unfit = f"the model has no goal {drive.whole.goal}"
         if unfit:
-            teaching.uses.append(Use(drive.name, drive.frames, 0, unfit))
+            teaching.uses.append(DriveUse(drive.name, drive.frames, 0, unfit))
         else:
             runs.append(drive.whole)
     remark(teaching.lines())

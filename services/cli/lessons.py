@@ -18,7 +18,7 @@ from services.kit.model_service import AnyModel
 from services.recordings.dataset import Teacher, Teaching, find_recordings
 from smal.features import FeatureSettings
 from smal.files.container import ModelError
-from smal.teaching.demonstration import Use
+from smal.teaching.demonstration import DriveUse
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class Lessons:
             typer.echo(line)
 
 
-def table_of(uses: Sequence[Use]) -> Iterator[str]:
+def table_of(uses: Sequence[DriveUse]) -> Iterator[str]:
     """Yield the lines of a table of how many frames of each drive teach."""
     cells = [[use.drive, str(use.frames), str(use.used)] for use in uses]
     lines = table([["drive", "frames", "used"], *cells])

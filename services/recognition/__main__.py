@@ -19,6 +19,7 @@ def serve(node: Node, settings: RecognitionSettings) -> None:
     service = RecognitionService(settings.watch)
     service.behind = lambda: node.waits(topics.OBSERVATION)
     service.announce = node.publish
+    service.warn = node.log.warning
     node.subscribe(topics.ODOMETRY, service.see)
     node.subscribe(topics.APPLIED, service.see_applied)
     serve_model(node, settings, service, topics.OBSERVATION)

@@ -46,6 +46,8 @@ class RecognitionService:
         self.behind: Callable[[], bool] = lambda: False  # Whether newer observations wait.
         #: Receives the poses of the keyframes before the first belief of an episode.
         self.announce: Callable[[TaughtMap], None] = lambda _map: None
+        #: Receives lines for the log.
+        self.warn: Callable[[str], object] = lambda _line: None
         self._loaded: LoadedModel | None = None
         self._localizer: _ByFilter | _ByPaper | None = None
         self._last: State | None = None
@@ -65,6 +67,11 @@ class RecognitionService:
             if isinstance(model, Model)
             else _ByPaper(model, loaded)
         )
+        if isinstance(model, Model) and not model.feature_settings.computable:
+            self.warn(
+                "a new pitch of the camera is not estimated: the network of the features runs in "
+                "the features service only"
+            )
         self._loaded = loaded
         self._localizer = localizer
         self._last = None

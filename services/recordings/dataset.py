@@ -20,7 +20,7 @@ from smal.features import FeatureSettings
 from smal.features.extraction import check_image, in_parallel
 from smal.features.resizing import same_aspect
 from smal.movement import Atom
-from smal.teaching.demonstration import Demonstration, Made, Use, described
+from smal.teaching.demonstration import Demonstration, DriveUse, Made, described
 
 Size = tuple[int, int]  # Width and height of an image, pixels.
 
@@ -32,8 +32,8 @@ class Teaching:
     # One for each stretch without gaps.
     demonstrations: list[Demonstration] = field(default_factory=list)
     recordings: int = 0  # Number of read files.
-    #: Use of each episode; learners add the use of the episodes with demonstrations.
-    uses: list[Use] = field(default_factory=list)
+    #: DriveUse of each episode; learners add the use of the episodes with demonstrations.
+    uses: list[DriveUse] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)  # Damage, one per line.
 
     def lines(self) -> list[str]:
@@ -133,7 +133,7 @@ class Teacher:
             self._check_images(here, episode)
             pieces = self._pieces(here, episode)
         except _LeftOut as reason:
-            self.teaching.uses.append(Use(episode.episode, episode.frames, 0, str(reason)))
+            self.teaching.uses.append(DriveUse(episode.episode, episode.frames, 0, str(reason)))
             return
         end = int(pieces[0][0])
         for ticks in pieces:

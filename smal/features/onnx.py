@@ -206,6 +206,11 @@ def given_as(name: str) -> str:
     return f"{kind}{_given[name].file}"
 
 
+def runs_here(name: str) -> bool:
+    """Return whether the features of a modality can be computed in this process."""
+    return name in _given or not is_digest(name)
+
+
 def said(name: str) -> str:
     """Return the file of a network in this process; for any other modality its name."""
     return given_as(name) if name in _given else name

@@ -99,6 +99,11 @@ class FeatureSettings:
         return tuple(name for name in self.modalities if modality_named(name).size)
 
     @property
+    def computable(self) -> bool:
+        """Whether this process can compute the descriptors; a network needs its file."""
+        return all(map(onnx.runs_here, self.describing))
+
+    @property
     def slices(self) -> tuple[slice, ...]:
         """Slice of each modality in a feature vector."""
         ends = np.cumsum([modality_named(name).size for name in self.modalities]).tolist()

@@ -36,7 +36,9 @@ class Distance:
 
     def __post_init__(self) -> None:
         """Raise ValueError if a number is out of range: they can come from a file."""
-        if not all(0.0 < abs(number) <= _UNKNOWN for number in astuple(self)):
+        end_s, size, power, size_error, low, low_error = astuple(self)
+        positive = (end_s, size, power, size_error, abs(low), low_error)
+        if not all(0.0 < number <= _UNKNOWN for number in positive):
             raise ValueError("the parts of the target do not fit together: distance")
 
     @classmethod

@@ -21,7 +21,7 @@ from smal.features.extraction import in_parallel
 from smal.features.resizing import SHAPE
 from smal.sought.distance import Distance
 from smal.sought.evidence import ScoreEvidence
-from smal.sought.sight import SIZES, TARGET_CONFIG, Compared, Sight
+from smal.sought.sight import SIZES, TARGET_CONFIG, Compared, Sight, lower_quantile
 from smal.sought.word import Word, area, best
 
 #: Left, top, right, bottom: shares of a view's width and height.
@@ -104,7 +104,7 @@ class _Way:
         numbers = range(len(self.cells))
         apart = in_parallel(lambda k: nearest(self.cells[k], self.elsewhere(k)), numbers)
         distances = np.concatenate([each.ravel() for each in apart])
-        return float(np.quantile(distances, TARGET_CONFIG.known))
+        return lower_quantile(distances, TARGET_CONFIG.known)
 
 
 def learn_sight(drives: Sequence[Taught]) -> Sight | None:

@@ -55,6 +55,15 @@ class TargetConfig:
 TARGET_CONFIG: Final = TargetConfig()
 
 
+def lower_quantile(distances: AnyArray, share: float) -> float:
+    """Return the distance that this share of the distances is below; some can be infinite.
+
+    `np.quantile` interpolates, which has no result between infinite distances.
+    """
+    rank = int(share * (distances.size - 1))
+    return float(np.partition(distances, rank, axis=None)[rank])
+
+
 @dataclass(frozen=True, eq=False)
 class Compared:
     """A picture compared with the target and with all other views: distances of its cells."""
@@ -70,7 +79,7 @@ class Compared:
     @property
     def unlike(self) -> float:
         """Distance from everything taught, of the quarter of the cells with the smallest distance."""
-        return float(np.quantile(np.minimum(self.to_target, self.to_others), 0.25))
+        return lower_quantile(np.minimum(self.to_target, self.to_others), 0.25)
 
     def window(self, windows: Int32s) -> "Window":
         """Return the window with the highest score."""

@@ -58,9 +58,6 @@ class CalibrationConfig:
 CALIBRATION_CONFIG: Final = CalibrationConfig()
 #: Candidates for a camera of unknown field of view; the first is the default.
 USUAL_CAMERAS: Final = (Camera.of_field(70.0), Camera.of_field(140.0, "equidistant"))
-#: Correlation lengths between successive images at which their views are unrelated: a straight line
-#: from 1 at no way to the cosine of unrelated views is half way down at half of the way.
-_TOO_FAR: Final = 1.8
 #: Candidates for the turn between views of a fit: the views must overlap.
 _OVERLAP_DEG: Final = float(TURNS_DEG[-1])
 _TURNS_RAD: Final = np.radians(np.geomspace(1.0, _OVERLAP_DEG, 23)).tolist()
@@ -375,8 +372,6 @@ def _length_of(frames: TaughtFrames, way: Floats, cosine: AnyArray, unrelated: f
         middles = (edges[:-1] + edges[1:]) / 2.0
         length = _half_way(middles[full], mean, count[full], unrelated)
         # A short length lies within the first few bins: repeat with finer bins.
-        if least > _TOO_FAR * length:
-            break
         if length > 0.1 * reach:
             return length
         reach = 4.0 * length

@@ -189,7 +189,7 @@ def chained(parts: Sequence[Sequence[AnyArray] | AnyArray]) -> Made:
 
 
 @dataclass(frozen=True)
-class Use:
+class DriveUse:
     """How many frames of a drive teach."""
 
     drive: str

@@ -1,11 +1,14 @@
 """Gaps of a drive without odometry: how far the robot went while no frame was recorded.
 
 A camera drops a frame, a recording pauses while the robot stands, or a person deletes frames. The
-views on both sides of a gap show how far the robot went: as far as it usually goes until views
-differ as much. The direction is that of the action before the gap.
+views on both sides of a gap show how far the robot went: for as many steps of the action before the
+gap as it usually takes until views differ as much. If no two frames without a gap between them
+differ as much, the action is taken to last for all of the lost time.
 """
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -19,6 +22,8 @@ _COMPARED: Final = 60
 _APART: Final = np.unique(np.geomspace(1.0, 600.0, 30).astype(np.intp))
 #: Share of the fall of the cosines at which views are unrelated, so that the way is unknown.
 _UNRELATED: Final = 0.9
+#: More steps than any gap.
+_ANY: Final = 10**9
 
 
 def reckoned(
@@ -40,32 +45,58 @@ def reckoned(
         Returns the centred features (n, m), of unit length, of n frames.
     """
     repeats = np.ones(atoms.size, dtype=np.intp)
-    if gaps:
-        before = np.array(sorted(gaps))
-        lost = np.array([gaps[frame] for frame in before.tolist()])
-        repeats[before] = np.minimum(_steps(before, atoms.size, centred), lost + 1)
+    before = np.array(sorted(gaps), dtype=np.intp)
+    for atom in np.unique(atoms[before]):
+        some = before[atoms[before] == atom]
+        alike = _Likeness(centred, before, np.flatnonzero(atoms == atom), atoms.size)
+        lost = np.array([gaps[frame] for frame in some.tolist()])
+        repeats[some] = np.minimum(alike.steps(some), lost + 1)
     executed = np.append(np.repeat(atoms, repeats), atoms[-1])
     poses = dead_reckoning(executed, movements)
     starts = np.cumsum(repeats) - repeats
     return np.asarray(poses[starts])
 
 
-def _steps(before: Indices, count: int, centred: Callable[[Iterable[int]], Float32s]) -> Indices:
-    """Return the number of usual steps between the frames before and after each gap."""
-    cosines = _cosines(centred, before, before + 1)
-    mean = [1.0]
-    apart = [0]
-    for many in _APART[count > _APART].tolist():
-        first = evenly(count - many, _COMPARED)
-        across = np.searchsorted(before, first) != np.searchsorted(before, first + many)
-        if not across.all():
-            first = first[~across]
-            mean.append(float(_cosines(centred, first, first + many).mean()))
-            apart.append(many)
-    falling = np.minimum.accumulate(mean)
-    related = falling >= 1.0 - _UNRELATED * (1.0 - falling[-1])
-    steps = np.interp(-cosines, -falling[related], np.array(apart)[related])
-    return np.asarray(np.rint(steps), dtype=np.intp)
+@dataclass(frozen=True)
+class _Likeness:
+    """Likeness of the views of a drive after some steps of one action."""
+
+    centred: Callable[[Iterable[int]], Float32s]
+    #: Frames before gaps.
+    before: Indices
+    #: Frames with the action, of `count` frames.
+    frames: Indices
+    count: int
+
+    def steps(self, before: Indices) -> Indices:
+        """Return the number of usual steps between the frames before and after some gaps."""
+        apart, mean = self._falling()
+        cosines = _cosines(self.centred, before, before + 1)
+        # The curve ends where views are unrelated, or where a gap ends each part of the drive.
+        most = apart[-1] if mean[-1] <= self._unrelated else _ANY
+        steps = np.interp(-cosines, -np.array(mean), apart, right=most)
+        return np.asarray(np.rint(steps), dtype=np.intp)
+
+    def _falling(self) -> tuple[list[int], list[float]]:
+        """Return numbers of frames, and the mean cosine of views so far apart, until it is unrelated."""
+        apart = [0]
+        mean = [1.0]
+        for many in _APART.tolist():
+            gaps = np.searchsorted(self.before, self.frames + many)
+            first = self.frames[gaps == np.searchsorted(self.before, self.frames)]
+            first = first[first + many < self.count]
+            if first.size and mean[-1] > self._unrelated:
+                some = first[evenly(first.size, _COMPARED)]
+                cosine = float(_cosines(self.centred, some, some + many).mean())
+                apart.append(many)
+                mean.append(min(mean[-1], cosine))
+        return apart, mean
+
+    @cached_property
+    def _unrelated(self) -> float:
+        """Cosine from which views are unrelated."""
+        rows = self.centred(evenly(self.count, _COMPARED).tolist())
+        return 1.0 - _UNRELATED * (1.0 - float((rows @ rows.T).mean()))
 
 
 def _cosines(

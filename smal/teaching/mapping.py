@@ -42,8 +42,8 @@ from smal.teaching.calibration import (
 from smal.teaching.demonstration import (
     Demonstration,
     Drive,
+    DriveUse,
     Task,
-    Use,
     chained,
     check_features,
     every,
@@ -58,10 +58,10 @@ from smal.teaching.stitches import stitched
 
 T = TypeVar("T")
 Progress = Callable[[str, int, int], None]
-Report = Callable[[Use], None]
+Report = Callable[[DriveUse], None]
 
 
-def warn_of_unused(use: Use) -> None:
+def warn_of_unused(use: DriveUse) -> None:
     """Warn of a drive that does not teach."""
     if not use.used:
         warnings.warn(f"drive {use.drive} does not teach: {use.note}", stacklevel=2)
@@ -94,7 +94,7 @@ def learn(
     parallel : callable
         Runs the slow computations on images; by default threads.
     report : callable
-        Called with the `Use` of each drive; by default it warns of drives that do not teach.
+        Called with the `DriveUse` of each drive; by default it warns of drives that do not teach.
     config : MapConfig
         Parameters of the map; the model stores them.
 
@@ -116,7 +116,7 @@ def learn(
     frames = frames.of_drives(moving)
     drives = [drives[number] for number in moving.tolist()]
     for drive in drives:
-        report(Use(drive.name, drive.frames, drive.frames, _note(drive, frames.odometry, tick_s)))
+        report(DriveUse(drive.name, drive.frames, drive.frames, _note(drive, frames, tick_s)))
     taught = [drive.whole for drive in drives]
     images = chained(list(_known(drive.images for drive in taught)))
     aside = config.aside * length
@@ -171,7 +171,7 @@ def _drives_to_map(
     drives = whole_drives(demonstrations)
     unfit = [drive for drive in drives if drive.unfit]
     for drive in unfit:
-        report(Use(drive.name, drive.frames, 0, drive.unfit))
+        report(DriveUse(drive.name, drive.frames, 0, drive.unfit))
     if len(unfit) == len(drives):
         reasons = ", ".join(f"{drive.name}: {drive.unfit}" for drive in unfit[:3])
         raise ValueError(f"no drive reached the goal and has images ({reasons})")
@@ -185,7 +185,7 @@ def _moving(frames: TaughtFrames, drives: Sequence[Drive], least: float, report:
         extent = float(np.hypot(*np.ptp(frames.poses[frames.drives == number, :2], axis=0)))
         if extent < least:
             moved = f"the robot hardly moves: by {extent:.2g} of at least {least:.2g} {frames.unit}"
-            report(Use(drive.name, drive.frames, 0, moved))
+            report(DriveUse(drive.name, drive.frames, 0, moved))
         else:
             moving.append(number)
     if not moving:
@@ -196,15 +196,17 @@ def _moving(frames: TaughtFrames, drives: Sequence[Drive], least: float, report:
     return np.array(moving)
 
 
-def _note(drive: Drive, odometry: bool, tick_s: float) -> str:
-    """Return how the gaps of a drive were bridged, and whether its odometry is unused."""
+def _note(drive: Drive, frames: TaughtFrames, tick_s: float) -> str:
+    """Return how the gaps of a drive were bridged, and which of its data are unused."""
     notes = []
     if drive.gaps:
         lost_s = tick_s * sum(drive.gaps.values())
         gaps = f"{len(drive.gaps)} gap{'s' * (len(drive.gaps) > 1)} ({lost_s:.1f} s)"
-        notes.append(f"{gaps} bridged by {'odometry' if odometry else 'views'}")
-    if drive.whole.odometry is not None and not odometry:
+        notes.append(f"{gaps} bridged by {'odometry' if frames.odometry else 'views'}")
+    if drive.whole.odometry is not None and not frames.odometry:
         notes.append("odometry unused, because another drive has none")
+    if drive.whole.camera not in (None, frames.camera):
+        notes.append("camera unused, because the first drive has another")
     return "; ".join(notes)
 
 
@@ -313,12 +315,9 @@ def _frames(
     else:
         tried = tuple(cameras[:1]) or USUAL_CAMERAS
         usual = tried[0], math.radians(config.usual_turn_deg_s) * tick_s
-        whole = [_without_gaps(drive) for drive in drives]
-        camera, turn_rad = turn_of_views(images, whole, tried, describe, pixels=pixels) or usual
-        ahead = _ahead_in_turns(taught)
-        movements = np.array(
-            [[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [ahead, turn_rad], [ahead, -turn_rad]]
-        )
+        turning = [_without_gaps(drive) for drive in drives]
+        camera, turn_rad = turn_of_views(images, turning, tried, describe, pixels=pixels) or usual
+        movements = _usual_movements(taught, turn_rad)
         ways = _reckoned(drives, movements, centred)
     numbers = np.arange(len(ways), dtype=np.int32)
     return TaughtFrames(
@@ -333,6 +332,12 @@ def _frames(
         camera,
         pixels=pixels,
     )
+
+
+def _usual_movements(taught: Sequence[Demonstration], turn_rad: float) -> Floats:
+    """Return the movement of each atom, (5, 2), in the length of a forward atom."""
+    ahead = _ahead_in_turns(taught)
+    return np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [ahead, turn_rad], [ahead, -turn_rad]])
 
 
 def _without_gaps(drive: Drive) -> Int8s:

@@ -13,6 +13,7 @@ from schemas.state import State
 from services.kit.model_service import LoadedModel
 from services.kit.node import ServiceError
 from services.recognition.service import RecognitionService
+from smal.features import FeatureSettings
 from smal.obstacles.strange import Ground
 from smal.sought.evidence import ScoreEvidence
 from smal.sought.word import Word
@@ -239,3 +240,14 @@ def test_recognition_refuses_features_when_they_are_impossible(
     with pytest.raises(ServiceError, match=r"^episode e, frame 0: features "):
         service.handle(forged)
     assert at(service, 1).status in {"recognized", "unknown"}
+
+
+def test_recognition_warns_when_it_cannot_run_the_network(
+    model: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(FeatureSettings, "computable", False)
+    service = RecognitionService()
+    lines: list[str] = []
+    service.warn = lines.append
+    with_model(service, model)
+    assert [line for line in lines if "pitch of the camera is not estimated" in line] == lines != []

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from smal.camera_change import CameraPitch
+from smal.features import FeatureSettings
 from smal.features.percept import perceive
 from smal.filter import Belief
 from smal.model import Model
@@ -75,6 +76,16 @@ def test_pitch_lasts_when_another_localizer_takes_over(
     after = localizer.locate(perceive(ROOM.look(pose), COLOR), pose.tolist()).belief
     assert after.pitch_deg == 5.0
     assert after.cosine > 0.6
+
+
+def test_pitch_stays_when_the_network_of_features_is_elsewhere(
+    pitch_camera: Callable[[float], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual_map()
+    pitch_camera(5.0)
+    monkeypatch.setattr(FeatureSettings, "computable", False)
+    monkeypatch.setattr("smal.camera_change.extract", None)
+    assert followed().pitch_deg == 0.0
 
 
 def test_levelled_percept_is_like_the_taught_one_when_pitched(

@@ -236,6 +236,15 @@ def test_network_output_keeps_its_order_when_it_is_flat(tmp_path: Path) -> None:
     np.testing.assert_allclose(vector, expected / np.linalg.norm(expected), atol=1e-6)
 
 
+def test_features_are_not_computable_when_their_network_is_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = FeatureSettings.of((given(network(tmp_path / "mix.onnx")), "color"))
+    assert settings.computable
+    monkeypatch.setattr("smal.features.onnx._given", {})
+    assert not settings.computable
+
+
 def test_missing_onnxruntime_names_the_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

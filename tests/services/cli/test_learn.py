@@ -25,7 +25,7 @@ from smal.camera import Camera
 from smal.features import FeatureSettings
 from smal.model import Model
 from smal.paper.model import PaperModel
-from smal.teaching.demonstration import Use, whole_drives
+from smal.teaching.demonstration import DriveUse, whole_drives
 from tests import corridor
 from tests.services.recordings.recorded_messages import applied, event, header, seen
 from tests.services.recordings.test_recorder_files import leave, record
@@ -114,7 +114,7 @@ def test_learn_omits_episodes_when_they_must_not_teach(
     tmp_path: Path, purpose: Purpose, outcome: Outcome, reason: str
 ) -> None:
     path = record(tmp_path, drive("e", purpose=purpose, outcome=outcome))
-    assert teach(path).teaching.uses == [Use("e", 40, 0, reason)]
+    assert teach(path).teaching.uses == [DriveUse("e", 40, 0, reason)]
     with pytest.raises(JobError, match="episode e left out"):
         learn(lessons=Lessons([path], tmp_path / "model.smal"))
 
@@ -141,7 +141,7 @@ def test_an_episode_teaches_once(drives: Path, tmp_path: Path) -> None:
     copy.write_bytes((drives / "drive-1.mcap").read_bytes())
     teaching = teach(drives, copy, drives / "drive-1.mcap").teaching
     assert len(teaching.demonstrations) == 4
-    assert teaching.uses == [Use("drive-1", 40, 0, f"already in {drives / 'drive-1.mcap'}")]
+    assert teaching.uses == [DriveUse("drive-1", 40, 0, f"already in {drives / 'drive-1.mcap'}")]
 
 
 def test_damaged_recordings_are_named_and_the_rest_teaches(
@@ -229,3 +229,26 @@ def test_the_camera_of_a_recording_is_that_of_the_map(tmp_path: Path) -> None:
     path = record(tmp_path, [begins, info, *follows])
     learn(lessons=Lessons([path], tmp_path / "model.smal"))
     assert Model.load(tmp_path / "model.smal").mapped.scene.camera == Camera(450.0 / 640.0)
+
+
+def test_drive_with_gaps_teaches_as_a_whole_when_it_has_no_odometry(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a tub of donkeycar, whose recording pauses while the car stands."""
+    gaps = {*range(8, 14), 20, *range(36, 39)}
+    kept = [m for m in drive("e") if m.tick not in gaps and not isinstance(m, Odometry)]
+    failed = drive("failed", outcome="timeout")
+    path = record(tmp_path, kept)
+    record(tmp_path, failed)
+    report = tmp_path / "report.json"
+    learn(lessons=Lessons([tmp_path], tmp_path / "model.smal", json_file=report))
+    assert Model.load(tmp_path / "model.smal").mapped.frames.tolist() == [30]
+    captured = capsys.readouterr()
+    assert "failed" not in captured.err
+    assert captured.out.splitlines()[-3:] == [
+        "drive   frames  used  note",
+        "failed      40     0  victim not reached (timeout)",
+        "e           30    30  3 gaps (1.0 s) bridged by views",
+    ]
+    assert json.loads(report.read_text())["uses"][1]["used"] == 30
+    assert path.exists()

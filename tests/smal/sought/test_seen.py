@@ -14,7 +14,7 @@ from smal.features.resizing import SHAPE
 from smal.files.container import ModelError
 from smal.planning.config import PLANNER_CONFIG
 from smal.sought.learning import Taught, learn_sight
-from smal.sought.sight import Sight
+from smal.sought.sight import Sight, lower_quantile
 from smal.sought.witness import Witness
 from tests.corridor import model, moved
 from tests.corridor import view as corridor
@@ -150,6 +150,20 @@ def test_robot_reports_not_here_when_its_target_is_missing(tmp_path: Path) -> No
             if robot.done:
                 break
         assert robot.said == said
+
+
+@pytest.mark.parametrize("name", ["end_s", "size", "power", "size_error", "low_error"])
+def test_distance_is_rejected_when_a_number_is_negative(name: str) -> None:
+    distance = sight().distance
+    assert replace(distance, low=-distance.low) != distance
+    with pytest.raises(ValueError, match="do not fit together: distance"):
+        replace(distance, **{name: -1.0})
+
+
+def test_quantile_is_infinite_when_nothing_else_was_taught() -> None:
+    distances = np.array([np.inf, 1.0, np.inf, np.inf])
+    assert lower_quantile(distances, 0.5) == np.inf
+    assert lower_quantile(distances, 0.1) == 1.0
 
 
 def test_file_is_refused_when_its_target_does_not_fit(tmp_path: Path) -> None:

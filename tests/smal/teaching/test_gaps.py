@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from smal.features import extract
 from smal.map import VisualMap
 from smal.movement import Atom
-from smal.teaching.demonstration import Demonstration, Use, described
+from smal.teaching.demonstration import Demonstration, DriveUse, described
 from smal.teaching.mapping import learn
 from tests.smal.synthetic_world import CAMERA, COLOR, Room, drive
 
@@ -42,8 +42,8 @@ def parts(
     return found
 
 
-def taught(demonstrations: Sequence[Demonstration]) -> tuple[VisualMap, list[Use]]:
-    uses: list[Use] = []
+def taught(demonstrations: Sequence[Demonstration]) -> tuple[VisualMap, list[DriveUse]]:
+    uses: list[DriveUse] = []
     return learn(demonstrations, COLOR, report=uses.append).mapped, uses
 
 
@@ -71,6 +71,13 @@ def test_drive_is_whole_when_the_robot_drove_in_a_gap(lost: int) -> None:
     assert length(mapped) == pytest.approx(length(whole), abs=0.4 * lost + 1.0)
 
 
+def test_drive_is_whole_when_every_third_frame_is_lost() -> None:
+    pairs = [np.array([k, k + 1]) for k in range(0, len(IMAGES) - 1, 3)]
+    mapped, _ = taught(parts(pairs, lost=1))
+    whole, _ = taught(parts([np.arange(len(IMAGES))]))
+    assert length(mapped) == pytest.approx(length(whole), rel=0.15)
+
+
 def test_way_across_a_gap_is_limited_when_views_are_unrelated() -> None:
     apart = np.arange(len(IMAGES) - 8, len(IMAGES))
     mapped, _ = taught(parts([np.arange(30), apart], lost=100_000))
@@ -85,6 +92,7 @@ def test_gap_is_bridged_by_odometry_when_there_is_any() -> None:
     assert uses[0].note == "1 gap (1.0 s) bridged by odometry"
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_drives_are_reported_when_they_teach_nothing() -> None:
     (good,) = parts([np.arange(len(IMAGES))])
     failed = replace(good, name="failed", episode="failed", successful=False)
