@@ -196,6 +196,6 @@ class CameraPitch:
         """Positions of the pixels of the level view under each hypothesis."""
         still = (0.0, 0.0, 0.0)
         return [
-            self._map.scene.maps(self._shape, still, pitch_rad=math.radians(pitch))
+            self._map.taught_scene.maps(self._shape, still, pitch_rad=math.radians(pitch))
             for pitch in self._config.pitches_deg
         ]

@@ -81,7 +81,7 @@ class VisualMap:
     #: Whether poses come from odometry; otherwise they are the integrated movements of atoms.
     odometry: bool
     #: Camera of the taught images, its height, and the distance of the scene.
-    scene: Scene
+    taught_scene: Scene
     #: Goal of each drive.
     goals: tuple[str, ...]
     #: Demonstrations of each drive: several if frames between them were lost.
@@ -108,7 +108,7 @@ class VisualMap:
         values = {part.name: getattr(self, part.name) for part in fields(self)}
         arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
         numbers = {name: value for name, value in values.items() if name not in arrays}
-        parts = {"config": asdict(self.config), "scene": asdict(self.scene)}
+        parts = {"config": asdict(self.config), "taught_scene": asdict(self.taught_scene)}
         return numbers | parts, arrays
 
     @classmethod
@@ -136,7 +136,7 @@ class VisualMap:
             "goals": tuple(goals),
             "names": tuple(map(tuple, names)),
             "size": tuple(size),
-            "scene": Scene.of_content(numbers["scene"]),
+            "taught_scene": Scene.of_content(numbers["taught_scene"]),
             "config": MapConfig(**numbers["config"]),
         }
         return cls(**arrays | numbers | converted)
@@ -304,9 +304,15 @@ class VisualMap:
         return self.config.aside * self.correlation_length
 
     @property
+    def scene(self) -> Floats:
+        """Field of view in degrees, height of the camera, and distance of the scene, (3,)."""
+        scene = self.taught_scene
+        return np.array([scene.camera.field_deg, scene.height, scene.distance])
+
+    @property
     def field_rad(self) -> float:
         """Horizontal field of view of the taught images, radians."""
-        return math.radians(self.scene.camera.field_deg)
+        return math.radians(self.taught_scene.camera.field_deg)
 
     @property
     def speed(self) -> float:

@@ -106,8 +106,8 @@ def patches(
 ) -> tuple[Floats, Floats]:
     """Return for each patch of the swept ground its distance along the way, and its distance from all colours."""
     width, height = mapped.size
-    ahead, left = _ground(mapped.scene, height / width)
-    near = _swept_cells(ahead, left, way, GROUND_CONFIG.swept * mapped.scene.height)
+    ahead, left = _ground(mapped.taught_scene, height / width)
+    near = _swept_cells(ahead, left, way, GROUND_CONFIG.swept * mapped.taught_scene.height)
     if not near.size:
         return np.empty(0), np.empty(0)
     cells = _mean_colours(picture, _STEP).reshape(-1, 3)[near]

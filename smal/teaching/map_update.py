@@ -150,7 +150,7 @@ def _variant(model: Model, run: Demonstration, frame: int, offset: Floats) -> In
     """Return the virtual views (3, turns, r) of a keyframe, warped from a frame beside it."""
     taught = model.mapped
     image = cast("Sequence[Image]", run.images)[frame]
-    scene = replace(taught.scene, camera=cast("Camera", run.camera))
+    scene = replace(taught.taught_scene, camera=cast("Camera", run.camera))
     steps = seen_from(np.array(virtual_poses(taught.aside)), offset).tolist()
     image = looked_at(image, model.feature_settings)
     shape = fitted(image.shape, model.feature_settings.pixels)

@@ -142,7 +142,7 @@ def learn(
         movements=frames.movements,
         tick_s=tick_s,
         odometry=frames.odometry,
-        scene=scene,
+        taught_scene=scene,
         goals=tuple(drive.goal for drive in taught),
         names=tuple(drive.names for drive in drives),
         size=(width, height),

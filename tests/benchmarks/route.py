@@ -75,7 +75,7 @@ def map_of(metres: float, components: int) -> Model:
         movements=np.array([(0.0, 0.0), (step, 0.0), (-step, 0.0), (0.0, turn), (0.0, -turn)]),
         tick_s=0.1,
         odometry=True,
-        scene=Scene(Camera(0.7), 1.0, 1.0),
+        taught_scene=Scene(Camera(0.7), 1.0, 1.0),
         goals=("victim",),
         names=(("made up",),),
         size=(64, 48),

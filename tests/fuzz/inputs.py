@@ -151,7 +151,7 @@ def smallest_map() -> Model:
         movements=np.array([(0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 0.1), (0.0, -0.1)]),
         tick_s=0.1,
         odometry=True,
-        scene=Scene(Camera(0.7), 1.0, 1.0),
+        taught_scene=Scene(Camera(0.7), 1.0, 1.0),
         goals=("victim",),
         names=(("drive-1",),),
         size=(64, 48),

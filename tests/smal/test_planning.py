@@ -56,7 +56,7 @@ def map_of(
         ),
         tick_s=TICK,
         odometry=True,
-        scene=Scene(Camera.of_field(70.0), 0.3, 5.0),
+        taught_scene=Scene(Camera.of_field(70.0), 0.3, 5.0),
         goals=goals or ("victim",) * len(ways),
         names=tuple((f"drive-{k}",) for k in range(len(ways))),
         size=(64, 48),

@@ -87,8 +87,8 @@ def facts(model: Model | PaperModel, file: str, size: int) -> dict[str, str]:
 
 def _of_map(model: Model) -> dict[str, str]:
     taught = model.mapped
-    camera = taught.scene.camera
-    where = f", {taught.scene.height:.2f} m above the ground" if taught.odometry else ""
+    camera = taught.taught_scene.camera
+    where = f", {taught.taught_scene.height:.2f} m above the ground" if taught.odometry else ""
     return {
         "goals": ", ".join(_goal(model, goal) for goal in goals_of(model)),
         "map": f"{len(taught.keyframes)} keyframes of {counted(taught.drive_count, 'drive')}, {taught.basis.shape[1]} "

@@ -228,7 +228,7 @@ def test_the_camera_of_a_recording_is_that_of_the_map(tmp_path: Path) -> None:
     begins, *follows = drive("e", frames=20)
     path = record(tmp_path, [begins, info, *follows])
     learn(lessons=Lessons([path], tmp_path / "model.smal"))
-    assert Model.load(tmp_path / "model.smal").mapped.scene.camera == Camera(450.0 / 640.0)
+    assert Model.load(tmp_path / "model.smal").mapped.taught_scene.camera == Camera(450.0 / 640.0)
 
 
 def test_drive_with_gaps_teaches_as_a_whole_when_it_has_no_odometry(

@@ -28,10 +28,10 @@ def learned(field_deg: float) -> Model:
 @pytest.mark.parametrize("field_deg", FIELDS_DEG)
 def test_robot_keeps_its_place_when_the_field_is(field_deg: float) -> None:
     model = learned(field_deg)
-    assert model.mapped.scene.camera == Camera.of_field(field_deg)
+    assert model.mapped.taught_scene.camera == Camera.of_field(field_deg)
     robot = Robot(model, watches=True)
     for pose in WAY.poses:
-        robot.step(ROOM.look(pose, camera=model.mapped.scene.camera), pose.tolist())
+        robot.step(ROOM.look(pose, camera=model.mapped.taught_scene.camera), pose.tolist())
         assert not robot.belief.is_lost
         assert robot.decision.kind != "blocked"
         robot.made = robot.decision.motion
@@ -45,7 +45,7 @@ def test_ground_is_where_the_camera_shows_it_when_the_field_is(
     field_deg: float, away: tuple[float, float]
 ) -> None:
     mapped = learned(field_deg).mapped
-    scene = mapped.scene
+    scene = mapped.taught_scene
     plain = np.full((60, 80, 3), 90, np.uint8)
     point = np.array([-away[1], scene.height, away[0]])
     angle = math.acos(point[2] / np.linalg.norm(point))
