@@ -22,6 +22,10 @@ LATEST_S: Final = 9e9  # The year 2255: recordings count nanoseconds since 1970 
 _FURTHEST_M: Final = 4e7  # The circumference of the earth: some odometry uses geographic grids.
 _MOST_TURNED_RAD: Final = 2e8  # A turn every second for a year.
 
+_APART_S: Final = 1.0  # Times closer than this are one span of a report.
+_TENTH_S: Final = 0.1
+_MOST_SPANS: Final = 3
+
 
 class ImportFailure(JobError):  # noqa: N818 - ImportError is Python's own
     """Raised when a source cannot be imported; the text has its name and the reason in one line."""
@@ -48,6 +52,8 @@ class ImportedDrive:
     #: (m, 4) time, x and y in metres, heading in radians, ascending: poses by odometry.
     track: Array = field(default_factory=lambda: np.zeros((0, 4)))
     success: bool | None = None  # Whether it reached its goal; None if unknown.
+    #: (l, 3) time, speed ahead, turn rate, ascending: velocities that the odometry reports.
+    twist: Array = field(default_factory=lambda: np.zeros((0, 3)))
     camera: Camera | None = None  # None if unknown.
     metric: bool = True  # Whether velocities are in metres and radians per second.
 
@@ -92,6 +98,19 @@ class Tally:
     def lines(self) -> list[str]:
         """Return the remarks and the counted defects, one per line."""
         return [*self.remarks, *self.counted()]
+
+
+def spans(times_s: Array) -> str:
+    """Return the spans of times as text: ``3.0 to 5.1 s, 8.0 s and 2 more``."""
+    parts = np.split(times_s, np.flatnonzero(np.diff(times_s) > _APART_S) + 1)
+    texts = [
+        f"{part[0]:.1f} s"
+        if part[-1] - part[0] < _TENTH_S
+        else f"{part[0]:.1f} to {part[-1]:.1f} s"
+        for part in parts[:_MOST_SPANS]
+    ]
+    more = f" and {len(parts) - _MOST_SPANS} more" if len(parts) > _MOST_SPANS else ""
+    return ", ".join(texts) + more
 
 
 def motion_of(rows: Rows, tally: Tally) -> Array:

@@ -11,11 +11,12 @@ from schemas.episode import GoalName
 from services.importers.ticks import QUANTILE
 from services.kit.errors import UsageError
 
-Format = Literal["rosbag2", "lerobot", "donkeycar", "folder"]
+Format = Literal["rosbag2", "rosbag1", "lerobot", "donkeycar", "folder"]
 FORMATS: Final[tuple[Format, ...]] = get_args(Format)
 #: Packages that a format needs.
 _PACKAGES: Final[dict[Format, tuple[str, ...]]] = {
     "rosbag2": ("rosbags",),
+    "rosbag1": ("rosbags",),
     "lerobot": ("pyarrow", "av"),
 }
 _Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
@@ -40,6 +41,7 @@ class ImportJob(Strict):
     turning: _Fraction = TURNING
     camera: str | None = None
     velocity: str | None = None
+    odometry: str | None = None
     rate_hz: _Rate | None = None
     speed: _Rate | None = None
     turn_rate: _Rate | None = None

@@ -24,7 +24,10 @@ from services.kit.errors import describe_os_error
 from smal.files.confined import ConfinedError, Work
 
 #: Modules of this package that read a format, by ``read(inside, job, tally)``.
-_READERS: Final[dict[Format, str]] = {form: form for form in FORMATS} | {"folder": "csv_folder"}
+_READERS: Final[dict[Format, str]] = {form: form for form in FORMATS} | {
+    "folder": "csv_folder",
+    "rosbag1": "rosbag2",
+}
 MOST_MEMORY: Final = 2 * 2**30  # In bytes; the numbers of the longest drive take a quarter.
 _PERIOD_S: Final = 0.1  # Between two reports of progress, seconds.
 
