@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Self
 
 import numpy as np
@@ -72,6 +72,23 @@ class ImportedDrive:
         furthest = (LATEST_S, _FURTHEST_M, _FURTHEST_M, _MOST_TURNED_RAD)
         where = _sound(track, furthest, "poses are not finite or too far away", tally)
         return cls(name, times_s, images, motion_of(motion, tally), where, **more)
+
+
+    def without(self, at_s: float, pause_s: float) -> Self:
+        """Return the drive with all times after a moment earlier by a pause."""
+
+        def earlier(rows: Array) -> Array:
+            moved = rows.copy()
+            moved[rows[:, 0] > at_s, 0] -= pause_s
+            return moved
+
+        return replace(
+            self,
+            times_s=earlier(self.times_s[:, None])[:, 0],
+            motion=earlier(self.motion),
+            track=earlier(self.track),
+            twist=earlier(self.twist),
+        )
 
 
 @dataclass

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.camera import CompressedImage
+from services.importers.clocks import in_order
 from services.importers.drive import Array, Image, ImportedDrive, ImportFailure, NotAnImage, Tally
 from services.importers.inside import Inside
 from services.kit.jpeg import MOST_PIXELS, decode_image_file, encode_jpeg, is_jpeg
@@ -75,7 +76,9 @@ def drive_of(
     metric: bool = True,
 ) -> ImportedDrive:
     """Create a drive from its frames; raise ImportFailure if the frame rate is implausible."""
-    times_s = np.array([row.time_s for row in rows])
+    times_s = in_order(np.array([row.time_s for row in rows]), tally)
+    rows = [rows[at]._replace(time_s=times_s[at]) for at in np.argsort(times_s, kind="stable")]
+    times_s = np.sort(times_s)
     usual_s = float(np.median(np.diff(times_s))) if len(rows) > 1 else 1.0
     if usual_s * _FASTEST_HZ < 1.0:
         said = f"{1.0 / usual_s:.0f} frames per second" if usual_s > 0.0 else "all frames at once"

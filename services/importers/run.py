@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from schemas.base import ATOMS
+from services.importers.comparing import sound
 from services.importers.drive import ImportedDrive, ImportFailure, Tally
 from services.importers.inside import Inside
 from services.importers.job import FORMATS, Format, ImportJob, ImportReport, OdometryOrigin
@@ -43,7 +44,7 @@ def run(
         If the source cannot be read, or the recordings cannot be written.
     """
     try:
-        drives = _drives(job, tally)
+        drives = [part for drive in _drives(job, tally) for part in sound(drive, tally)]
         usual = nominal(np.concatenate([drive.motion[:, 1:] for drive in drives]), job.quantile)
         total = sum(drive.times_s.size for drive in drives)
         found = [write(drive, job, usual, tally, lambda: advance(total)) for drive in drives]

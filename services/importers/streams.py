@@ -14,7 +14,7 @@ from schemas.codec import printable
 from services.importers.bags import Received, decoded, header_of
 from services.importers.clocks import Times
 from services.importers.drive import MOST_SAMPLES, Array, ImportFailure
-from services.importers.ticks import HOLD_S, LEAST_ANGULAR, LEAST_LINEAR, motion_along
+from services.importers.ticks import HOLD_S, LEAST_LINEAR, motion_along, moving
 
 COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
 RAW: Final = "sensor_msgs/msg/Image"
@@ -113,7 +113,7 @@ class Stream:
     def reported(self) -> Array:
         """Time, speed ahead and turn rate of the messages, (n, 3); empty if they never move."""
         rows = np.column_stack([self.times_s, self._rows[:, [3, 5]]])
-        return rows if self.type not in POSES or moves(rows).any() else rows[:0]
+        return rows if self.type not in POSES or moving(rows).any() else rows[:0]
 
     @cached_property
     def motion(self) -> Array:
@@ -131,7 +131,7 @@ class Stream:
         """Return at which times a velocity that moves the robot holds."""
         before = np.searchsorted(self.motion[:, 0], at_s, side="right") - 1
         held = (before >= 0) & (at_s - self.motion[before, 0] <= HOLD_S)
-        return np.asarray(held & moves(self.motion)[before], dtype=bool)
+        return np.asarray(held & moving(self.motion)[before], dtype=bool)
 
     def beside(self, at_s: Array) -> float:
         """Return the share of times with a message beside."""
@@ -146,12 +146,6 @@ class Stream:
         passed_s = float(np.ptp(self.times_s)) if count else 0.0
         rate = f", {(count - 1) / passed_s:.1f} Hz" if passed_s else ""
         return f"{printable(self.topic)} ({count} messages{rate})"
-
-
-def moves(motion: Array) -> NDArray[np.bool_]:
-    """Return which samples (time, speed, turn rate) move the robot."""
-    speed, turn = np.abs(motion[:, 1:3]).T
-    return np.asarray((speed > LEAST_LINEAR) | (turn > LEAST_ANGULAR), dtype=bool)
 
 
 def _moving(kind: str, message: Any) -> tuple[Iterable[float], Iterable[float]]:  # noqa: ANN401

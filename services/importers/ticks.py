@@ -170,6 +170,12 @@ def odometry(
     return poses, known
 
 
+def moving(motion: Array) -> NDArray[np.bool_]:
+    """Return which samples (time, speed, turn rate) move the robot."""
+    speed, turn = np.abs(motion[:, 1:3]).T
+    return np.asarray((speed > LEAST_LINEAR) | (turn > LEAST_ANGULAR), dtype=bool)
+
+
 def motion_along(track: Array) -> Array:
     """Return time, speed ahead and turn rate along poses (time, x, y, heading), each over a tick."""
     times_s = track[:, 0]

@@ -23,8 +23,8 @@ from services.importers.streams import (
     POSES,
     VELOCITIES,
     Stream,
-    moves,
 )
+from services.importers.ticks import moving
 from services.kit.cameras import camera_of_ros
 from smal.camera import Camera
 
@@ -161,7 +161,7 @@ class Topics:
 
     def _best_velocity(self, at_s: Array, odometry: Stream | None, tally: Tally) -> Stream:
         """Return the command that drives when the odometry moves, else the odometry."""
-        measured = odometry is not None and moves(odometry.motion).any()
+        measured = odometry is not None and moving(odometry.motion).any()
         if odometry is not None and measured:
             at_s = at_s[odometry.driven(at_s)]
 
@@ -212,11 +212,13 @@ class Topics:
         tally.say(
             f"images from {printable(images.topic)}, velocities from {printable(velocity.topic)}"
         )
-        if (aside_s := velocity.sideways_s).size:
-            tally.say(
-                f"{aside_s.size} velocities go sideways, without a matching action, at "
-                f"{spans(aside_s - images.times_s[0])}"
-            )
+        for one in (velocity, odometry):
+            if one is not None and one.sideways_s.size:
+                tally.say(
+                    f"{printable(one.topic)} goes sideways, without a matching action, at "
+                    f"{spans(one.sideways_s - images.times_s[0])}"
+                )
+                break
         used = (images, velocity, odometry)
         rest = [one.text for one in self._streams.values() if one not in used]
         rest += [f"{printable(name)}" for name in self._others]

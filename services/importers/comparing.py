@@ -1,0 +1,368 @@
+"""Comparison of the streams of a drive with each other, and repair of its odometry.
+
+Poses form a strand as long as each is within reach of the pose before, at the robot's own usual
+speed. A reset of the odometry ends a strand and begins the next; a second publisher or an outlier
+makes strands beside. The largest strands are kept and joined end to end. The step between two
+strands is that of the velocities. If the view jumps with the pose, the robot was moved, and the
+drive is cut there. Poses that stand or never turn although the velocities do are replaced by the
+way that follows from the velocities.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from itertools import islice, pairwise
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.importers.drive import Array, Image, ImportedDrive, NotAnImage, Tally, spans
+from services.importers.ticks import HOLD_S, LEAST_ANGULAR, LEAST_LINEAR, Moves, moving
+from services.kit.jpeg import decode_image_file, shrunk
+from smal.movement import placed, seen_from, wrapped
+
+#: Times the usual speed that no robot exceeds from one pose to the next.
+_REACH: Final = 3.0
+#: Turn rate that any robot may reach, radians per second: a straight drive shows no usual one.
+_LEAST_TURN: Final = np.pi
+#: Poses between two of the same publisher, at most. A pose continues a strand within as many.
+_AHEAD: Final = 10
+_USUAL: Final = 0.95  # Quantile of the moving poses that is the usual speed.
+_MOST_STRANDS: Final = 100
+_LEAST_KEPT: Final = 0.3  # Least share of the poses in the kept strands; else it is no path.
+_PAUSE: Final = 3.0  # Times the usual period of the camera that is a pause.
+_MOST_LINES: Final = 5  # Reported jumps of a drive.
+_WINDOW_S: Final = 1.0  # Duration over which poses and velocities are compared: a command lags.
+_CLEARLY: Final = 3.0  # Times the least velocity that certainly moves the robot.
+_ALWAYS: Final = 0.9  # Share of the windows that stands for the whole drive.
+#: Units of poses that are not metres; the measured ratio is within `_ROUGHLY` of the unit.
+_UNITS: Final = {1000.0: "millimetres", 100.0: "centimetres"}
+_ROUGHLY: Final = 1.5
+_NOTABLE: Final = 3.0  # Ratio of the lengths of two ways that is reported.
+_THUMBNAIL: Final = 32  # Columns of a compared view.
+_FRAMES: Final = 3  # Frames before and after a jump.
+_JUMP: Final = 1.5  # Times the usual change between two views that is a jump.
+_NOISE: Final = 0.05  # Change between two views of the same place, in deviations of a pixel.
+
+
+def sound(drive: ImportedDrive, tally: Tally) -> list[ImportedDrive]:
+    """Return a drive with sound odometry, in parts if a repair is uncertain."""
+    drive = _without_pauses(drive, tally)
+    if not len(drive.track):
+        return [drive]
+    moves = _reference(drive)
+    kept = _kept_strands(drive, tally)
+    track = drive.track[kept.rows]
+    if moves is not None:
+        windows = _windows(track, kept.breaks, moves)
+        wrong = _wrong(windows) if len(track) else "the odometry is no path"
+        if wrong:
+            tally.say(f"drive {drive.name}: {wrong}; odometry is computed from the velocities")
+            way = np.column_stack([drive.track[:, 0], moves.way(drive.track[:, 0])])
+            return [replace(drive, track=way)]
+        scale = _scale(drive, windows, tally)
+        track[:, 1:3] *= scale
+    elif not len(track):
+        tally.say(f"drive {drive.name}: the odometry is no path; it is left out")
+    return _joined(replace(drive, track=track), kept.breaks, moves, tally)
+
+
+def _without_pauses(drive: ImportedDrive, tally: Tally) -> ImportedDrive:
+    """Report pauses of the camera, and omit those in which neither pose nor view changed.
+
+    Either the recording stopped while the robot stood, or a clock was set ahead.
+    """
+    frames_s = drive.times_s
+    later_s = np.diff(frames_s)
+    usual_s = float(np.median(later_s)) if later_s.size else 0.0
+    gaps = np.flatnonzero(later_s > max(HOLD_S, _PAUSE * usual_s))
+    middles_s = (frames_s[gaps] + frames_s[gaps + 1]) / 2.0
+    still = views_go_on(drive, middles_s) if len(drive.track) else [False] * gaps.size
+    omitted_s = 0.0
+    for gap, middle_s, view_goes_on in zip(gaps.tolist(), middles_s.tolist(), still, strict=True):
+        took_s = float(later_s[gap])
+        at_s = frames_s[gap] - frames_s[0]
+        if view_goes_on and _stands(drive.track, middle_s - omitted_s):
+            drive = drive.without(middle_s - omitted_s, took_s - usual_s)
+            omitted_s += took_s - usual_s
+            done = "; left out, because neither pose nor view changes"
+        else:
+            done = ""
+        tally.say(f"drive {drive.name}: no image for {took_s:.1f} s at {at_s:.1f} s{done}")
+    return drive
+
+
+def _stands(track: Array, at_s: float) -> bool:
+    """Return whether no pose is near a time, and those around it are a usual step apart."""
+    after = int(np.searchsorted(track[:, 0], at_s))
+    if not 0 < after < len(track):
+        return False
+    begin, end = track[after - 1 : after + 1].copy()
+    reach = _Reach(track)
+    paused = end[0] - begin[0] > HOLD_S
+    end[0] = begin[0] + reach.period_s
+    return bool(paused and reach.within(begin, end) <= 1.0)
+
+
+def _reference(drive: ImportedDrive) -> Moves | None:
+    """Return the motion to compare the poses with: as the odometry reports it, or commands."""
+    for motion in (drive.twist, drive.motion if drive.metric else drive.twist):
+        if moving(motion).any():
+            return Moves(motion)
+    return None
+
+
+class _Kept(NamedTuple):
+    """The poses of the strands that follow each other."""
+
+    rows: NDArray[np.intp]  # Of the track.
+    breaks: NDArray[np.intp]  # Positions among them that begin a further strand.
+
+
+def _kept_strands(drive: ImportedDrive, tally: Tally) -> _Kept:
+    """Return the largest strands that are not beside a larger one."""
+    labels = _strands(drive.track)
+    order = np.argsort(-np.bincount(labels), kind="stable")[:_MOST_STRANDS]
+    taken = np.zeros(labels.size, dtype=bool)
+    kept = np.zeros(labels.size, dtype=bool)
+    for label in order.tolist():
+        mine = np.flatnonzero(labels == label)
+        span = slice(int(mine[0]), int(mine[-1]) + 1)
+        if not taken[span].any():
+            taken[span] = True
+            kept[mine] = True
+    if kept.sum() < _LEAST_KEPT * kept.size:
+        kept[:] = False
+    elif not kept.all():
+        at = spans(drive.track[~kept, 0] - drive.times_s[0])
+        tally.say(
+            f"drive {drive.name}: {int((~kept).sum())} of {kept.size} poses contradict the others, "
+            f"as of a second publisher, at {at}; they are left out"
+        )
+    rows = np.flatnonzero(kept)
+    return _Kept(rows, np.flatnonzero(np.diff(labels[rows])) + 1)
+
+
+class _Reach:
+    """How far the robot gets within a time, by its own usual speed."""
+
+    def __init__(self, track: Array) -> None:
+        times_s = track[:, 0]
+        passed_s = np.diff(times_s)
+        later = passed_s[passed_s > 0.0]
+        self.period_s = float(np.median(later)) if later.size else 1.0
+        speed = np.full(len(track) - 1, np.inf)
+        turn = speed.copy()
+        for ahead in range(1, min(_AHEAD, len(track) - 1) + 1):
+            gone = track[ahead:] - track[:-ahead]
+            took_s = np.maximum(gone[:, 0], self.period_s)
+            begin = slice(0, len(gone))
+            speed[begin] = np.minimum(speed[begin], np.hypot(gone[:, 1], gone[:, 2]) / took_s)
+            turn[begin] = np.minimum(turn[begin], np.abs(wrapped(gone[:, 3])) / took_s)
+        self.speed = _REACH * _quantile(speed[speed > LEAST_LINEAR], LEAST_LINEAR)
+        self.turn = max(_REACH * _quantile(turn, 0.0), _LEAST_TURN)
+
+    def within(self, begin: Array, end: Array) -> Array:
+        """Return by which share of the reach poses (..., 4) are apart; above 1 is a jump."""
+        gone = end - begin
+        took_s = np.abs(gone[..., 0]) + self.period_s
+        far = np.hypot(gone[..., 1], gone[..., 2]) / self.speed
+        turned = np.abs(wrapped(gone[..., 3])) / self.turn
+        return np.asarray(np.maximum(far, turned) / took_s)
+
+
+def _quantile(values: Array, least: float) -> float:
+    return float(np.quantile(values, _USUAL, method="lower")) if values.size else least
+
+
+def _strands(track: Array) -> NDArray[np.intp]:
+    """Return the strand of each pose."""
+    reach = _Reach(track)
+    jumps = np.flatnonzero(reach.within(track[:-1], track[1:]) > 1.0) + 1
+    bounds = [0, *jumps.tolist(), len(track)]
+    labels = np.zeros(len(track), dtype=np.intp)
+    count = 0
+    tips: dict[int, int] = {}  # The last pose of each strand.
+    for begin, end in pairwise(bounds):
+        recent = [one for one, tip in tips.items() if begin - tip <= _AHEAD]
+        label = count
+        if recent:
+            apart = reach.within(track[[tips[one] for one in recent]], track[begin])
+            nearest = int(apart.argmin())
+            label = recent[nearest] if apart[nearest] <= 1.0 else label
+        count = max(count, label + 1)
+        labels[begin:end] = label
+        tips = {one: tips[one] for one in recent} | {label: end - 1}
+    return labels
+
+
+class _Windows(NamedTuple):
+    """What poses and velocities state for the same time, one row for each window."""
+
+    times_s: Array  # Begin of each window.
+    gone: Array  # Distance by the poses and by the velocities, metres a second, (n, 2).
+    turned: Array  # Turn likewise, radians a second.
+
+
+def _windows(track: Array, breaks: NDArray[np.intp], moves: Moves) -> _Windows:
+    since_s = track[:, 0] - track[:1, 0]
+    _, edges = np.unique(np.floor(since_s / _WINDOW_S), return_index=True)
+    begin = edges[:-1]
+    end = edges[1:]
+    whole = np.searchsorted(breaks, begin, side="right") == np.searchsorted(breaks, end, "right")
+    begin = begin[whole]
+    end = end[whole]
+    took_s = track[end, 0] - track[begin, 0]
+    steps = seen_from(track[end, 1:], track[begin, 1:])
+    told = moves.until(track[end, 0]) - moves.until(track[begin, 0])
+    gone = np.column_stack([np.hypot(steps[:, 0], steps[:, 1]), np.abs(told[:, 0])])
+    turned = np.column_stack([np.abs(steps[:, 2]), np.abs(wrapped(told[:, 1]))])
+    return _Windows(since_s[begin], gone / took_s[:, None], turned / took_s[:, None])
+
+
+def _wrong(windows: _Windows) -> str:
+    """Return how the poses contradict the velocities over the whole drive, empty if they do not."""
+    for name, rates, least in (
+        ("moves", windows.gone, LEAST_LINEAR),
+        ("turns", windows.turned, LEAST_ANGULAR),
+    ):
+        clearly = rates[:, 1] > _CLEARLY * least
+        stands = rates[clearly, 0] < least
+        if stands.size and stands.mean() > _ALWAYS:
+            return f"the pose never {name} although the velocities do"
+    return ""
+
+
+def _scale(drive: ImportedDrive, windows: _Windows, tally: Tally) -> float:
+    """Return the unit of the poses in metres, and report ways that differ in length."""
+    both = (windows.gone > LEAST_LINEAR).all(axis=1)
+    if not both.any():
+        return 1.0
+    poses, velocities = windows.gone[both].sum(axis=0)
+    ratio = poses / velocities
+    for unit, name in _UNITS.items():
+        if max(ratio / unit, unit / ratio) < _ROUGHLY:
+            tally.say(f"drive {drive.name}: the odometry is in {name}; converted to metres")
+            return 1.0 / unit
+    if max(ratio, 1.0 / ratio) > _NOTABLE:
+        tally.say(
+            f"drive {drive.name}: the odometry goes {ratio:.2g} times as far as the velocities; "
+            "check --speed"
+        )
+    return 1.0
+
+
+def _joined(
+    drive: ImportedDrive, breaks: NDArray[np.intp], moves: Moves | None, tally: Tally
+) -> list[ImportedDrive]:
+    """Join the strands end to end, and cut the drive where the join is uncertain."""
+    track = drive.track.copy()
+    cuts: list[float] = []
+    lines: list[str] = []
+    middles_s = (track[breaks - 1, 0] + track[breaks, 0]) / 2.0
+    for at, middle_s, view_goes_on in zip(
+        breaks.tolist(), middles_s.tolist(), views_go_on(drive, middles_s), strict=True
+    ):
+        took_s = track[at, 0] - track[at - 1, 0]
+        jump = seen_from(track[at, 1:], track[at - 1, 1:])
+        if view_goes_on and (moves is not None or took_s <= HOLD_S):
+            done = "joined, because the view goes on"
+            step = _step(track, at, moves)
+            track[at:, 1:] = placed(
+                seen_from(track[at:, 1:], track[at, 1:]), placed(step, track[at - 1, 1:])
+            )
+        else:
+            done = "the drive is cut there, because the view changes too"
+            cuts.append(middle_s)
+        lines.append(
+            f"drive {drive.name}: the odometry jumps by {np.hypot(jump[0], jump[1]):.2f} m and "
+            f"{np.degrees(jump[2]):.0f} degrees at {middle_s - drive.times_s[0]:.1f} s; {done}"
+        )
+    for line in lines[:_MOST_LINES]:
+        tally.say(line)
+    tally.count(f"further jumps of the odometry of {drive.name}", len(lines[_MOST_LINES:]))
+    return list(_parts(replace(drive, track=track), cuts))
+
+
+def _step(track: Array, at: int, moves: Moves | None) -> Array:
+    """Return the step to a pose from the pose before, by the velocities or the steps beside."""
+    if moves is not None:
+        return moves.way(track[at - 1 : at + 1, 0])[1]
+    took_s = track[at, 0] - track[at - 1, 0]
+    beside = [
+        seen_from(track[one, 1:], track[one - 1, 1:]) / (track[one, 0] - track[one - 1, 0])
+        for one in (at - 1, at + 1)
+        if 0 < one < len(track) and track[one, 0] > track[one - 1, 0]
+    ]
+    return np.mean(beside or [np.zeros(3)], axis=0) * took_s
+
+
+def _parts(drive: ImportedDrive, cuts_s: list[float]) -> Iterator[ImportedDrive]:
+    """Yield the parts of a drive between cuts; only the last can have reached the goal."""
+    if not cuts_s:
+        yield drive
+        return
+    bounds = [-np.inf, *cuts_s, np.inf]
+    for number, (begin_s, end_s) in enumerate(pairwise(bounds), 1):
+        frames = slice(*np.searchsorted(drive.times_s, [begin_s, end_s]).tolist())
+        last = number == len(bounds) - 1
+        yield replace(
+            drive,
+            name=f"{drive.name}-part-{number}",
+            times_s=drive.times_s[frames],
+            images=partial(_images, drive, frames),
+            motion=_between(drive.motion, begin_s, end_s),
+            track=_between(drive.track, begin_s, end_s),
+            success=drive.success if last else False,
+        )
+
+
+def _images(drive: ImportedDrive, frames: slice) -> Iterator[Image]:
+    return islice(drive.images(), frames.start, frames.stop)
+
+
+def _between(rows: Array, begin_s: float, end_s: float) -> Array:
+    return rows[(rows[:, 0] >= begin_s) & (rows[:, 0] < end_s)]
+
+
+def views_go_on(drive: ImportedDrive, times_s: Array) -> list[bool]:
+    """Return at which times the view changes as it does just before and after.
+
+    Each view is compared with the next. Without views beside a time the answer is yes.
+    """
+    middles = np.searchsorted(drive.times_s, times_s).tolist()
+    beside = [range(max(0, at - _FRAMES), at + _FRAMES) for at in middles]
+    wanted = {frame for frames in beside for frame in frames}
+    views: dict[int, Array] = {}
+    for frame, image in enumerate(islice(drive.images(), max(wanted, default=-1) + 1)):
+        if frame in wanted and (view := _view(image)) is not None:
+            views[frame] = view
+    return [_goes_on(views, frames, at) for frames, at in zip(beside, middles, strict=True)]
+
+
+def _goes_on(views: dict[int, Array], frames: range, at: int) -> bool:
+    there = [frame for frame in frames if frame in views]
+    changes = {
+        later: float(np.abs(views[later] - views[earlier]).mean())
+        for earlier, later in pairwise(there)
+        if views[later].shape == views[earlier].shape
+    }
+    first = next((frame for frame in there if frame >= at), None)
+    if first not in changes:
+        return True
+    jump = changes.pop(first)
+    return jump <= _JUMP * max(changes.values(), default=0.0) + _NOISE
+
+
+def _view(image: Image) -> Array | None:
+    """Return a small grey view without brightness and contrast; None if it is damaged."""
+    try:
+        pixels = decode_image_file(image())
+    except NotAnImage:
+        return None
+    if pixels is None:
+        return None
+    grey = shrunk(pixels, _THUMBNAIL).mean(axis=2)
+    deviation = float(grey.std())
+    return np.asarray((grey - grey.mean()) / max(deviation, 1.0), dtype=np.float64)
