@@ -29,6 +29,7 @@ _LEAST_TURN: Final = np.pi
 #: Poses between two of the same publisher, at most. A pose continues a strand within as many.
 _AHEAD: Final = 10
 _USUAL: Final = 0.95  # Quantile of the moving poses that is the usual speed.
+_STILL: Final = 1e-4  # Change of a pose at rest, in metres, radians and their rates.
 _MOST_STRANDS: Final = 100
 _LEAST_KEPT: Final = 0.3  # Least share of the poses in the kept strands; else it is no path.
 _PAUSE: Final = 3.0  # Times the usual period of the camera that is a pause.
@@ -52,7 +53,7 @@ def sound(drive: ImportedDrive, tally: Tally) -> list[ImportedDrive]:
     if not len(drive.track):
         return [drive]
     moves = _reference(drive)
-    kept = _kept_strands(drive, tally)
+    kept = _kept_strands(drive, moves, tally)
     track = drive.track[kept.rows]
     if moves is not None:
         windows = _windows(track, kept.breaks, moves)
@@ -83,7 +84,7 @@ def _without_pauses(drive: ImportedDrive, tally: Tally) -> ImportedDrive:
     for gap, middle_s, view_goes_on in zip(gaps.tolist(), middles_s.tolist(), still, strict=True):
         took_s = float(later_s[gap])
         at_s = frames_s[gap] - frames_s[0]
-        if view_goes_on and _stands(drive.track, middle_s - omitted_s):
+        if view_goes_on and _stands(drive, middle_s - omitted_s):
             drive = drive.without(middle_s - omitted_s, took_s - usual_s)
             omitted_s += took_s - usual_s
             done = "; left out, because neither pose nor view changes"
@@ -93,16 +94,16 @@ def _without_pauses(drive: ImportedDrive, tally: Tally) -> ImportedDrive:
     return drive
 
 
-def _stands(track: Array, at_s: float) -> bool:
+def _stands(drive: ImportedDrive, at_s: float) -> bool:
     """Return whether no pose is near a time, and those around it are a usual step apart."""
-    after = int(np.searchsorted(track[:, 0], at_s))
-    if not 0 < after < len(track):
+    rows = _beside(drive.track, None)
+    after = int(np.searchsorted(rows[:, 0], at_s))
+    if not 0 < after < len(rows) or rows[after, 0] - rows[after - 1, 0] <= HOLD_S:
         return False
-    begin, end = track[after - 1 : after + 1].copy()
-    reach = _Reach(track)
-    paused = end[0] - begin[0] > HOLD_S
-    end[0] = begin[0] + reach.period_s
-    return bool(paused and reach.within(begin, end) <= 1.0)
+    reach = _Reach(rows)
+    end = rows[after]
+    end[0] = rows[after - 1, 0] + reach.period_s
+    return bool(reach.shares(rows[after - 1], end) <= 1.0)
 
 
 def _reference(drive: ImportedDrive) -> Moves | None:
@@ -120,9 +121,9 @@ class _Kept(NamedTuple):
     breaks: NDArray[np.intp]  # Positions among them that begin a further strand.
 
 
-def _kept_strands(drive: ImportedDrive, tally: Tally) -> _Kept:
+def _kept_strands(drive: ImportedDrive, moves: Moves | None, tally: Tally) -> _Kept:
     """Return the largest strands that are not beside a larger one."""
-    labels = _strands(drive.track)
+    labels = _strands(_beside(drive.track, moves))
     order = np.argsort(-np.bincount(labels), kind="stable")[:_MOST_STRANDS]
     taken = np.zeros(labels.size, dtype=bool)
     kept = np.zeros(labels.size, dtype=bool)
@@ -144,51 +145,75 @@ def _kept_strands(drive: ImportedDrive, tally: Tally) -> _Kept:
     return _Kept(rows, np.flatnonzero(np.diff(labels[rows])) + 1)
 
 
-class _Reach:
-    """How far the robot gets within a time, by its own usual speed."""
+def _beside(track: Array, moves: Moves | None) -> Array:
+    """Return time, pose and the pose by the velocities, (n, 7)."""
+    way = np.zeros((len(track), 3)) if moves is None else moves.way(track[:, 0])
+    return np.column_stack([track, way])
 
-    def __init__(self, track: Array) -> None:
-        times_s = track[:, 0]
-        passed_s = np.diff(times_s)
+
+class _Reach:
+    """How far poses are usually apart: from each other, and from the step by the velocities.
+
+    The usual distance has a part that grows with time, and the jitter of the poses.
+    """
+
+    def __init__(self, rows: Array) -> None:
+        passed_s = np.diff(rows[:, 0])
         later = passed_s[passed_s > 0.0]
         self.period_s = float(np.median(later)) if later.size else 1.0
-        speed = np.full(len(track) - 1, np.inf)
-        turn = speed.copy()
-        for ahead in range(1, min(_AHEAD, len(track) - 1) + 1):
-            gone = track[ahead:] - track[:-ahead]
-            took_s = np.maximum(gone[:, 0], self.period_s)
-            begin = slice(0, len(gone))
-            speed[begin] = np.minimum(speed[begin], np.hypot(gone[:, 1], gone[:, 2]) / took_s)
-            turn[begin] = np.minimum(turn[begin], np.abs(wrapped(gone[:, 3])) / took_s)
-        self.speed = _REACH * _quantile(speed[speed > LEAST_LINEAR], LEAST_LINEAR)
-        self.turn = max(_REACH * _quantile(turn, 0.0), _LEAST_TURN)
+        gone = np.full((len(rows) - 1, 2, 2), np.inf)  # To the nearest of the next poses.
+        rates = gone.copy()
+        for ahead in range(1, min(_AHEAD, len(rows) - 1) + 1):
+            steps = _apart(rows[:-ahead], rows[ahead:])
+            took_s = np.maximum(rows[ahead:, 0] - rows[:-ahead, 0], self.period_s)
+            near = slice(0, len(steps))
+            gone[near] = np.minimum(gone[near], steps)
+            rates[near] = np.minimum(rates[near], steps / took_s[:, None, None])
+        self._jitter = _usual(gone)
+        self._rates = _usual(rates)
+        self._rates[0] = np.maximum(self._rates[0], [LEAST_LINEAR, _LEAST_TURN / _REACH])
+        # Velocities that are exact in a simulator are not a reason to call a slip a jump.
+        self._rates[1] = np.maximum(self._rates[1], self._rates[0] / 2.0)
 
-    def within(self, begin: Array, end: Array) -> Array:
-        """Return by which share of the reach poses (..., 4) are apart; above 1 is a jump."""
-        gone = end - begin
-        took_s = np.abs(gone[..., 0]) + self.period_s
-        far = np.hypot(gone[..., 1], gone[..., 2]) / self.speed
-        turned = np.abs(wrapped(gone[..., 3])) / self.turn
-        return np.asarray(np.maximum(far, turned) / took_s)
-
-
-def _quantile(values: Array, least: float) -> float:
-    return float(np.quantile(values, _USUAL, method="lower")) if values.size else least
+    def shares(self, begin: Array, end: Array) -> Array:
+        """Return how far apart rows (..., 7) are as shares of the reach; above 1 is a jump."""
+        took_s = np.abs(end[..., 0] - begin[..., 0]) + self.period_s
+        reach = _REACH * (self._rates * took_s[..., None, None] + self._jitter)
+        return np.asarray((_apart(begin, end) / reach).max(axis=(-2, -1)))
 
 
-def _strands(track: Array) -> NDArray[np.intp]:
+def _apart(begin: Array, end: Array) -> Array:
+    """Return distance and turn between rows, and those that the velocities leave, (..., 2, 2)."""
+    step = seen_from(end[..., 1:4], begin[..., 1:4])
+    left = step - seen_from(end[..., 4:], begin[..., 4:])
+    both = np.stack([step, left], axis=-2)
+    return np.stack([np.hypot(both[..., 0], both[..., 1]), np.abs(wrapped(both[..., 2]))], axis=-1)
+
+
+def _usual(values: Array) -> Array:
+    """Return the usual value, over rows, among the values that are not at rest."""
+    found = np.zeros(values.shape[1:])
+    for place in np.ndindex(found.shape):
+        column = values[(slice(None), *place)]
+        column = column[column > _STILL]
+        if column.size:
+            found[place] = np.quantile(column, _USUAL, method="lower")
+    return found
+
+
+def _strands(rows: Array) -> NDArray[np.intp]:
     """Return the strand of each pose."""
-    reach = _Reach(track)
-    jumps = np.flatnonzero(reach.within(track[:-1], track[1:]) > 1.0) + 1
-    bounds = [0, *jumps.tolist(), len(track)]
-    labels = np.zeros(len(track), dtype=np.intp)
+    reach = _Reach(rows)
+    jumps = np.flatnonzero(reach.shares(rows[:-1], rows[1:]) > 1.0) + 1
+    bounds = [0, *jumps.tolist(), len(rows)]
+    labels = np.zeros(len(rows), dtype=np.intp)
     count = 0
     tips: dict[int, int] = {}  # The last pose of each strand.
     for begin, end in pairwise(bounds):
         recent = [one for one, tip in tips.items() if begin - tip <= _AHEAD]
         label = count
         if recent:
-            apart = reach.within(track[[tips[one] for one in recent]], track[begin])
+            apart = reach.shares(rows[[tips[one] for one in recent]], rows[begin])
             nearest = int(apart.argmin())
             label = recent[nearest] if apart[nearest] <= 1.0 else label
         count = max(count, label + 1)
