@@ -20,6 +20,7 @@ _RUN: Final = 5
 _MOST_STEPS: Final = 100  # A clock that steps more often is no clock.
 #: Longest delay of a network. Stamps that are older are of another clock.
 _LONGEST_DELAY_S: Final = 60.0
+_SHORTEST: Final = 0.01  # Quantile of the delays that is the shortest, without outliers.
 _NOTABLE_S: Final = 0.1  # Smallest offset of clocks that changes which frame a tick shows.
 
 
@@ -69,7 +70,7 @@ class Times:
                 f"{topic}: its clock steps by {-by_s:.1f} s, "
                 f"{stamps_s[at] - stamps_s[0]:.1f} s after the first message; rejoined"
             )
-        delay_s = float((received_s - stamps_s).min())
+        delay_s = float(np.quantile(received_s - stamps_s, _SHORTEST))
         if not 0.0 <= delay_s <= _LONGEST_DELAY_S:
             stamps_s += delay_s
             if abs(delay_s) > _NOTABLE_S:

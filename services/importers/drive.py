@@ -73,7 +73,6 @@ class ImportedDrive:
         where = _sound(track, furthest, "poses are not finite or too far away", tally)
         return cls(name, times_s, images, motion_of(motion, tally), where, **more)
 
-
     def without(self, at_s: float, pause_s: float) -> Self:
         """Return the drive with all times after a moment earlier by a pause."""
 

@@ -136,11 +136,11 @@ class Moves:
         """Integrate the velocities by dead reckoning: poses (n, 3) at times, from (0, 0, 0)."""
         inside = self._times_s[(self._times_s > times_s[0]) & (self._times_s < times_s[-1])]
         grid = np.union1d(times_s, inside)
-        gone, turned = self.until(grid).T
+        gone, turned = (self.until(grid) - self.until(grid[:1])).T
         middle = (turned[1:] + turned[:-1]) / 2.0
         steps = np.stack([np.cos(middle), np.sin(middle)], axis=1) * np.diff(gone)[:, None]
         places = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-        found: Array = np.column_stack([places, turned - turned[0]])[np.searchsorted(grid, times_s)]
+        found: Array = np.column_stack([places, turned])[np.searchsorted(grid, times_s)]
         return found
 
 

@@ -107,6 +107,11 @@ def test_odometry_is_unknown_when_source_is_silent() -> None:
     assert set(range(15, 25)) <= set(np.flatnonzero(~known).tolist()) <= set(range(14, 26))
 
 
+def test_way_begins_ahead_when_the_robot_turned_before() -> None:
+    turned = moves((0.0, 0.0, 1.0), (1.0, 1.0, 0.0), (1.5, 1.0, 0.0))
+    assert turned.way(np.array([1.0, 2.0]))[1] == pytest.approx([1.0, 0.0, 0.0])
+
+
 def test_velocity_holds_for_its_period_when_sent_once_a_second() -> None:
     slow = moves(*((float(k), 0.5, 0.0) for k in range(10)))
     assert slow.silent(0.1 * np.arange(90)) == 0
