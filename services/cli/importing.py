@@ -37,6 +37,9 @@ class Part:
         str | None, Option(help="Image topic of a bag, or image feature of LeRobot.")
     ] = None
     velocity: Annotated[str | None, Option(help="Source of the velocities; see above.")] = None
+    odometry: Annotated[
+        str | None, Option(help="Topic of the poses of a bag. [default: by content]")
+    ] = None
     episodes: Annotated[
         list[str] | None,
         Option("--episode", help="Name of a drive to import, as in the source; repeatable."),
@@ -111,8 +114,9 @@ def import_recordings(
 ) -> None:
     """Convert recordings of other software for `smal learn`.
 
-    rosbag2: a ROS 2 bag (MCAP or SQLite) with images and Twist, TwistStamped or Odometry. A bag is
-    one drive; import several bags into one OUT one by one. lerobot: a LeRobotDataset (v2.0, v2.1,
+    rosbag2, rosbag1: a bag of ROS 2 (MCAP or SQLite) or ROS 1 with images and Twist, TwistStamped,
+    Odometry or poses. Topics that fit the images are chosen and reported. A bag is one drive;
+    import several bags into one OUT one by one. lerobot: a LeRobotDataset (v2.0, v2.1,
     v3.0) of a mobile base. donkeycar: a tub of version 2. folder: images and a drive.csv with the
     columns image, time_s, linear_m_s, angular_rad_s (optional: episode, success, x_m, y_m,
     heading_rad).
@@ -124,7 +128,9 @@ def import_recordings(
 
     Recordings have 10 frames per second at any source rate. Velocities become the actions forward,
     backward, left, right and stop; --still and --turning set the limits as fractions of the robot's
-    nominal speed and turn rate. Omitted data are reported with their count. JPEG images are copied
+    nominal speed and turn rate. Odometry is compared with velocities and views: resets are joined,
+    and a drive is cut where its view jumps too. Omitted data are reported with their count, and
+    repairs with their place. JPEG images are copied
     unchanged. Files outside PATH are never read.
 
     Example: smal import donkeycar tub --rate 20 --to 25 --out drives

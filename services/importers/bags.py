@@ -152,7 +152,7 @@ def _of_ros1(path: Path, _tally: Tally) -> Iterator[Received]:
         raise
     except Exception as error:  # noqa: BLE001 - rosbags raises many for malformed bytes
         advice = "; close it first: rosbag reindex" if "not indexed" in str(error) else ""
-        raise ValueError(f"{error or type(error).__name__}{advice}") from None
+        raise ValueError(f"{str(error) or type(error).__name__}{advice}") from None
 
 
 _READERS: Final = {".mcap": _of_mcap, ".db3": _of_sqlite, ".bag": _of_ros1}

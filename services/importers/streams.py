@@ -125,7 +125,8 @@ class Stream:
     def sideways_s(self) -> Array:
         """Times at which the velocity is mainly sideways."""
         ahead, aside, _ = np.abs(np.nan_to_num(self._rows[:, 3:6])).T
-        return self.times_s[(aside > LEAST_LINEAR) & (aside > ahead)]
+        mainly: Array = self.times_s[(aside > LEAST_LINEAR) & (aside > ahead)]
+        return mainly
 
     def driven(self, at_s: Array) -> NDArray[np.bool_]:
         """Return at which times a velocity that moves the robot holds."""

@@ -73,7 +73,7 @@ def test_bag_of_ros_1_without_index_is_refused(tmp_path: Path) -> None:
     at = data.index(b"index_pos=") + len(b"index_pos=")
     data[at : at + 8] = bytes(8)
     bag.write_bytes(data)
-    with pytest.raises(ImportFailure, match="not indexed.*rosbag reindex"):
+    with pytest.raises(ImportFailure, match=r"not indexed.*rosbag reindex"):
         imported(bag, "rosbag1", tmp_path / "out")
 
 
