@@ -27,7 +27,7 @@ _ZSTD: Final = b"\x28\xb5\x2f\xfd"
 _MOST_BYTES: Final = 4 * 4096 * 3072 + 2**20
 #: Bytes of a row beside its blob: two lengths, and a header of at least three columns.
 _LEAST_ROW: Final = 6
-_SUFFIXES: Final = (".mcap", ".db3", ".bag")
+_FILE: Final = re.compile(r"(?P<bag>.+?)(_(?P<part>\d{1,9}))?\.(mcap|db3|bag)", re.DOTALL)
 #: Bytes before the text of a header's frame, in the messages of both ROS versions.
 _FRAME_AT: Final = 16
 
@@ -49,14 +49,39 @@ class Header(NamedTuple):
     frame: str
 
 
-def received(inside: Inside, tally: Tally, topic: str | None = None) -> Iterator[Received]:
-    """Yield the messages of a bag, of one topic or all; ImportFailure if it is damaged."""
-    for name in _files(inside):
+def bags_of(inside: Inside) -> dict[str, list[str]]:
+    """Return the files of each bag by its name: ``bag_0.mcap`` and ``bag_1.mcap`` are one bag."""
+    if not inside.is_folder:
+        if inside.path.suffix not in _READERS:
+            raise ImportFailure(
+                f"{inside.path}: not a bag (a folder, or a file *.mcap, *.db3 or *.bag)"
+            )
+        return {inside.path.stem: [""]}
+    names = inside.names()
+    files: dict[str, list[tuple[int, str]]] = {}
+    for name in names:
+        if found := _FILE.fullmatch(name):
+            files.setdefault(found["bag"], []).append((int(found["part"] or 0), name))
+    if not files:
+        bags = [name for name in names if "metadata.yaml" in inside.names(name)]
+        more = [f"; {printable(name)} in it is a bag: import each bag separately" for name in bags]
+        more += [
+            f"; unpack {printable(name)} first: zstd -d" for name in names if name.endswith(".zstd")
+        ]
+        raise ImportFailure(
+            f"{inside.path}: no *.mcap, *.db3 or *.bag in this folder{[*more, ''][0]}"
+        )
+    parts = {bag: [name for _, name in sorted(found)] for bag, found in files.items()}
+    return parts if len(parts) > 1 else {inside.path.stem: next(iter(parts.values()))}
+
+
+def received(inside: Inside, names: list[str], tally: Tally) -> Iterator[Received]:
+    """Yield the messages of the files of a bag; ImportFailure if one is damaged."""
+    for name in names:
         path = inside.regular(name)
         try:
             for message in _READERS[path.suffix](path, tally):
-                if topic in (None, message.topic):
-                    yield message._replace(data=_unpacked(message.data))
+                yield message._replace(data=_unpacked(message.data))
         except (
             McapError,
             struct.error,
@@ -67,33 +92,6 @@ def received(inside: Inside, tally: Tally, topic: str | None = None) -> Iterator
         ) as error:
             reason = printable(str(error)) or type(error).__name__
             raise ImportFailure(f"{inside.called(name)}: damaged: {reason}") from None
-
-
-def _files(inside: Inside) -> list[str]:
-    if not inside.is_folder:
-        if inside.path.suffix not in _SUFFIXES:
-            raise ImportFailure(
-                f"{inside.path}: not a bag (a folder, or a file *.mcap, *.db3 or *.bag)"
-            )
-        return [""]
-    names = inside.names()
-    found = sorted((name for name in names if name.endswith(_SUFFIXES)), key=_by_number)
-    if not found:
-        bags = [name for name in names if "metadata.yaml" in inside.names(name)]
-        more = [f"; {printable(name)} in it is a bag: import each bag separately" for name in bags]
-        more += [
-            f"; unpack {printable(name)} first: zstd -d" for name in names if name.endswith(".zstd")
-        ]
-        raise ImportFailure(
-            f"{inside.path}: no *.mcap, *.db3 or *.bag in this folder{[*more, ''][0]}"
-        )
-    return found
-
-
-def _by_number(name: str) -> tuple[int, str]:
-    """Sort ``bag_10`` after ``bag_9``."""
-    number = re.search(r"_(\d{1,9})\.\w+$", name)
-    return int(number[1]) if number else 0, name
 
 
 def _of_mcap(path: Path, tally: Tally) -> Iterator[Received]:

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from services.importers.bags import Received, decoded, received, typestore
+from services.importers.bags import Received, bags_of, decoded, received, typestore
 from services.importers.drive import Image, ImportedDrive, ImportFailure, NotAnImage, Tally
 from services.importers.images import as_jpeg, raw_as_jpeg
 from services.importers.inside import Inside
@@ -24,37 +24,41 @@ _MOST_WAITING: Final = 120
 
 
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
-    """Read a bag as one drive."""
+    """Read each bag as one drive."""
     typestore()
+    return [_drive(inside, name, files, job, tally) for name, files in bags_of(inside).items()]
+
+
+def _drive(
+    inside: Inside, name: str, files: list[str], job: ImportJob, tally: Tally
+) -> ImportedDrive:
     topics = Topics(str(inside.path))
-    for number, message in enumerate(received(inside, tally)):
+    for number, message in enumerate(received(inside, files, tally)):
         try:
             topics.take(message, number)
         except ValueError:
             tally.count(f"messages of {message.topic} do not match their type")
     images, velocity, odometry, camera = topics.choose(job, tally)
     scale = np.array((1.0, job.speed or 1.0, job.turn_rate or 1.0))
-    return [
-        ImportedDrive.of_rows(
-            inside.path.stem,
-            images.times_s,
-            partial(_images, inside, images.numbers),
-            velocity.motion * scale,
-            [] if odometry is None else odometry.track,
-            tally,
-            twist=np.zeros((0, 3)) if odometry is None else odometry.reported,
-            camera=camera,
-        )
-    ]
+    return ImportedDrive.of_rows(
+        name,
+        images.times_s,
+        partial(_images, inside, files, images.numbers),
+        velocity.motion * scale,
+        [] if odometry is None else odometry.track,
+        tally,
+        twist=np.zeros((0, 3)) if odometry is None else odometry.reported,
+        camera=camera,
+    )
 
 
-def _images(inside: Inside, numbers: NDArray[np.int64]) -> Iterator[Image]:
+def _images(inside: Inside, files: list[str], numbers: NDArray[np.int64]) -> Iterator[Image]:
     """Yield the images with these numbers of messages, in this order."""
     wanted = set(numbers.tolist())
     waiting: dict[int, Image] = {}
     due = iter(numbers.tolist())
     first = next(due, None)
-    for number, message in enumerate(received(inside, Tally())):
+    for number, message in enumerate(received(inside, files, Tally())):
         if number not in wanted:
             continue
         waiting[number] = partial(_image, message)

@@ -67,6 +67,15 @@ def test_bag_of_ros_1_is_imported(tmp_path: Path) -> None:
         check_whole(report)
 
 
+def test_bags_in_a_folder_are_a_drive_each(tmp_path: Path) -> None:
+    (tmp_path / "bags").mkdir()
+    write(tmp_path / "bags/monday.bag", said(), ros1=True)
+    write(tmp_path / "bags/tuesday_0.bag", said(drive()[:60]), ros1=True)
+    write(tmp_path / "bags/tuesday_1.bag", said(drive()[60:]), ros1=True)
+    report, _ = imported(tmp_path / "bags", "rosbag1", tmp_path / "out")
+    assert [len(episode_of(file).images) for file in report.files] == [FRAMES, FRAMES]
+
+
 def test_bag_of_ros_1_without_index_is_refused(tmp_path: Path) -> None:
     bag = write(tmp_path / "old.bag", said(), ros1=True)
     data = bytearray(bag.read_bytes())
