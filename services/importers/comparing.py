@@ -40,7 +40,7 @@ _ALWAYS: Final = 0.9  # Share of the windows that stands for the whole drive.
 #: Units of poses that are not metres; the measured ratio is within `_ROUGHLY` of the unit.
 _UNITS: Final = {1000.0: "millimetres", 100.0: "centimetres"}
 _ROUGHLY: Final = 1.5
-_NOTABLE: Final = 3.0  # Ratio of the lengths of two ways that is reported.
+_NOTABLE: Final = 3.0  # Ratio of the lengths of two ways, or seconds of standing, to report.
 _THUMBNAIL: Final = 32  # Columns of a compared view.
 _FRAMES: Final = 3  # Frames before and after a jump.
 _JUMP: Final = 1.5  # Times the usual change between two views that is a jump.
@@ -59,13 +59,13 @@ def sound(drive: ImportedDrive, tally: Tally) -> list[ImportedDrive]:
         windows = _windows(track, kept.breaks, moves)
         wrong = _wrong(windows) if len(track) else "the odometry is no path"
         if wrong:
-            tally.say(f"drive {drive.name}: {wrong}; odometry is computed from the velocities")
+            tally.say(f"{drive.called}: {wrong}; odometry is computed from the velocities")
             way = np.column_stack([drive.track[:, 0], moves.way(drive.track[:, 0])])
             return [replace(drive, track=way)]
-        scale = _scale(drive, windows, tally)
-        track[:, 1:3] *= scale
+        _report_standing(drive, windows, tally)
+        track[:, 1:3] *= _scale(drive, windows, tally)
     elif not len(track):
-        tally.say(f"drive {drive.name}: the odometry is no path; it is left out")
+        tally.say(f"{drive.called}: the odometry is no path; it is left out")
     return _joined(replace(drive, track=track), kept.breaks, moves, tally)
 
 
@@ -90,7 +90,7 @@ def _without_pauses(drive: ImportedDrive, tally: Tally) -> ImportedDrive:
             done = "; left out, because neither pose nor view changes"
         else:
             done = ""
-        tally.say(f"drive {drive.name}: no image for {took_s:.1f} s at {at_s:.1f} s{done}")
+        tally.say(f"{drive.called}: no image for {took_s:.1f} s at {at_s:.1f} s{done}")
     return drive
 
 
@@ -138,7 +138,7 @@ def _kept_strands(drive: ImportedDrive, moves: Moves | None, tally: Tally) -> _K
     elif not kept.all():
         at = spans(drive.track[~kept, 0] - drive.times_s[0])
         tally.say(
-            f"drive {drive.name}: {int((~kept).sum())} of {kept.size} poses contradict the others, "
+            f"{drive.called}: {int((~kept).sum())} of {kept.size} poses contradict the others, "
             f"as of a second publisher, at {at}; they are left out"
         )
     rows = np.flatnonzero(kept)
@@ -259,6 +259,18 @@ def _wrong(windows: _Windows) -> str:
     return ""
 
 
+def _report_standing(drive: ImportedDrive, windows: _Windows, tally: Tally) -> None:
+    """Report when the poses stand although the velocities drive, for a part of the drive."""
+    stands = (windows.gone[:, 0] < LEAST_LINEAR) & (windows.turned[:, 0] < LEAST_ANGULAR)
+    found_s = windows.times_s[stands & (windows.gone[:, 1] > _CLEARLY * LEAST_LINEAR)]
+    if found_s.size * _WINDOW_S > _NOTABLE:
+        at = spans(found_s + drive.track[0, 0] - drive.times_s[0])
+        tally.say(
+            f"{drive.called}: the odometry stands although the velocities drive at {at}; "
+            "the robot was blocked, or its odometry failed"
+        )
+
+
 def _scale(drive: ImportedDrive, windows: _Windows, tally: Tally) -> float:
     """Return the unit of the poses in metres, and report ways that differ in length."""
     both = (windows.gone > LEAST_LINEAR).all(axis=1)
@@ -268,11 +280,11 @@ def _scale(drive: ImportedDrive, windows: _Windows, tally: Tally) -> float:
     ratio = poses / velocities
     for unit, name in _UNITS.items():
         if max(ratio / unit, unit / ratio) < _ROUGHLY:
-            tally.say(f"drive {drive.name}: the odometry is in {name}; converted to metres")
+            tally.say(f"{drive.called}: the odometry is in {name}; converted to metres")
             return 1.0 / unit
     if max(ratio, 1.0 / ratio) > _NOTABLE:
         tally.say(
-            f"drive {drive.name}: the odometry goes {ratio:.2g} times as far as the velocities; "
+            f"{drive.called}: the odometry goes {ratio:.2g} times as far as the velocities; "
             "check --speed"
         )
     return 1.0
@@ -301,12 +313,12 @@ def _joined(
             done = "the drive is cut there, because the view changes too"
             cuts.append(middle_s)
         lines.append(
-            f"drive {drive.name}: the odometry jumps by {np.hypot(jump[0], jump[1]):.2f} m and "
+            f"{drive.called}: the odometry jumps by {np.hypot(jump[0], jump[1]):.2f} m and "
             f"{np.degrees(jump[2]):.0f} degrees at {middle_s - drive.times_s[0]:.1f} s; {done}"
         )
     for line in lines[:_MOST_LINES]:
         tally.say(line)
-    tally.count(f"further jumps of the odometry of {drive.name}", len(lines[_MOST_LINES:]))
+    tally.count(f"further jumps of the odometry, {drive.called}", len(lines[_MOST_LINES:]))
     return list(_parts(replace(drive, track=track), cuts))
 
 

@@ -22,7 +22,7 @@ LATEST_S: Final = 9e9  # The year 2255: recordings count nanoseconds since 1970 
 _FURTHEST_M: Final = 4e7  # The circumference of the earth: some odometry uses geographic grids.
 _MOST_TURNED_RAD: Final = 2e8  # A turn every second for a year.
 
-_APART_S: Final = 1.0  # Times closer than this are one span of a report.
+_APART_S: Final = 1.5  # Times closer than this are one span of a report.
 _TENTH_S: Final = 0.1
 _MOST_SPANS: Final = 3
 
@@ -56,6 +56,11 @@ class ImportedDrive:
     twist: Array = field(default_factory=lambda: np.zeros((0, 3)))
     camera: Camera | None = None  # None if unknown.
     metric: bool = True  # Whether velocities are in metres and radians per second.
+
+    @property
+    def called(self) -> str:
+        """Name of the drive in a report."""
+        return f"drive {printable(self.name)}" if self.name else "the drive"
 
     @classmethod
     def of_rows(

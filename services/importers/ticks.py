@@ -165,7 +165,7 @@ def odometry(
         return None
     if float(np.abs(poses[known, :2]).max()) > _FURTHEST_M:
         raise ImportFailure(
-            f"drive {drive.name}: odometry too large (more than {_FURTHEST_M / 1000.0:.0f} km)"
+            f"{drive.called}: odometry too large (more than {_FURTHEST_M / 1000.0:.0f} km)"
         )
     return poses, known
 

@@ -278,6 +278,17 @@ def test_odometry_is_in_metres_when_published_in_smaller_units(unit: float, tmp_
     assert remark(tally, "converted to metres")
 
 
+def test_standing_poses_are_reported_when_commands_drive(tmp_path: Path) -> None:
+    blocked = [
+        frame._replace(pose=drive()[40].pose) if 40 <= k < 90 else frame
+        for k, frame in enumerate(drive())
+    ]
+    blocked[90:] = since(drive()[40:70], drive()[0])
+    blocked = [frame._replace(time_s=0.1 * k) for k, frame in enumerate(blocked)]
+    _, tally = imported_of(said(blocked), tmp_path)
+    assert remark(tally, "the odometry stands although the velocities drive", "4.0 to 8.0 s")
+
+
 def test_pause_is_reported_when_the_robot_drove_on(tmp_path: Path) -> None:
     frames = [frame for k, frame in enumerate(drive()) if not 50 <= k < 75]
     report, tally = imported_of(said(frames), tmp_path)

@@ -197,6 +197,22 @@ def test_a_folder_is_imported(rate_hz: float, png: bool, tmp_path: Path) -> None
     check_drive(episode_of(report), blurred=2)
 
 
+def test_folder_is_mended_when_clock_and_odometry_are_reset(tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set")
+    head, *lines = (folder / "drive.csv").read_text().splitlines()
+    for at, line in enumerate(lines[30:], 30):
+        time_s, image, linear, angular, x, *rest = line.split(",")
+        # The robot drives straight ahead until then.
+        reset = [str(float(time_s) - 1.0), image, linear, angular, str(float(x) - 3.0), *rest]
+        lines[at] = ",".join(reset)
+    (folder / "drive.csv").write_text("\n".join([head, *lines]))
+    report, tally = imported(folder, "folder", tmp_path / "out")
+    check_drive(episode_of(report), within_m=0.06)
+    text = "\n".join(tally.lines())
+    assert "the clock is set back by 1.0 s, 1.5 s after" in text
+    assert "the drive: the odometry jumps by 2.90 m and 0 degrees at 1.5 s; joined" in text
+
+
 def test_a_slow_camera_shows_frames_twice(tmp_path: Path) -> None:
     report, tally = imported(sources.csv_folder(tmp_path / "set", 5.0), "folder", tmp_path / "out")
     assert tally.counts["ticks show the frame of the tick before"] == report.ticks - len(
