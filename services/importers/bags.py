@@ -57,22 +57,26 @@ def bags_of(inside: Inside) -> dict[str, list[str]]:
                 f"{inside.path}: not a bag (a folder, or a file *.mcap, *.db3 or *.bag)"
             )
         return {inside.path.stem: [""]}
-    names = inside.names()
     files: dict[str, list[tuple[int, str]]] = {}
-    for name in names:
+    for name in inside.names():
         if found := _FILE.fullmatch(name):
             files.setdefault(found["bag"], []).append((int(found["part"] or 0), name))
     if not files:
-        bags = [name for name in names if "metadata.yaml" in inside.names(name)]
-        more = [f"; {printable(name)} in it is a bag: import each bag separately" for name in bags]
-        more += [
-            f"; unpack {printable(name)} first: zstd -d" for name in names if name.endswith(".zstd")
-        ]
         raise ImportFailure(
-            f"{inside.path}: no *.mcap, *.db3 or *.bag in this folder{[*more, ''][0]}"
+            f"{inside.path}: no *.mcap, *.db3 or *.bag in this folder{_advice(inside)}"
         )
     parts = {bag: [name for _, name in sorted(found)] for bag, found in files.items()}
     return parts if len(parts) > 1 else {inside.path.stem: next(iter(parts.values()))}
+
+
+def _advice(inside: Inside) -> str:
+    """Return how to import a folder without files of a bag, empty if unknown."""
+    for name in inside.names():
+        if "metadata.yaml" in inside.names(name):
+            return f"; {printable(name)} in it is a bag: import each bag separately"
+        if name.endswith(".zstd"):
+            return f"; unpack {printable(name)} first: zstd -d"
+    return ""
 
 
 def received(inside: Inside, names: list[str], tally: Tally) -> Iterator[Received]:

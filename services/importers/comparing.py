@@ -325,16 +325,14 @@ def _joined(
 def _step(track: Array, at: int, moves: Moves | None) -> Array:
     """Return the step to a pose from the pose before, by the velocities or the steps beside."""
     if moves is not None:
-        step: Array = moves.way(track[at - 1 : at + 1, 0])[1]
-        return step
+        return np.asarray(moves.way(track[at - 1 : at + 1, 0])[1])
     took_s = track[at, 0] - track[at - 1, 0]
     beside = [
         seen_from(track[one, 1:], track[one - 1, 1:]) / (track[one, 0] - track[one - 1, 0])
         for one in (at - 1, at + 1)
         if 0 < one < len(track) and track[one, 0] > track[one - 1, 0]
     ]
-    usual: Array = np.mean(beside or [np.zeros(3)], axis=0)
-    return usual * took_s
+    return np.asarray(np.mean(beside or [np.zeros(3)], axis=0) * took_s)
 
 
 def _parts(drive: ImportedDrive, cuts_s: list[float]) -> Iterator[ImportedDrive]:
