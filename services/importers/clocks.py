@@ -5,6 +5,7 @@ the sender. Both clocks can be set during a drive; then their times pass twice o
 Messages that arrive late, in contrast, fill a hole in the times before them.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
@@ -12,7 +13,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.codec import printable
 from services.importers.drive import Array, Tally
 
 #: Samples in order that show a step of the clock. Networks rarely deliver as many late in order.
@@ -32,6 +32,7 @@ class Times:
     numbers: NDArray[np.int64]  # Position of each message in the file.
     received_s: Array
     stamps_s: Array  # 0 if the clock was not set, NaN if the type has no header.
+    large: bool = False  # Whether a network delays the messages, such as images.
 
     def shift(self, number: int, by_s: float) -> None:
         """Move the times from a message on, those of capture if their clock stepped with it."""
@@ -40,44 +41,68 @@ class Times:
         if 0 < at < self.numbers.size and self.stamps_s[at] < self.stamps_s[at - 1]:
             self.stamps_s[at:] += by_s
 
-    def captured_s(self, tally: Tally) -> Array:
-        """Return the times of capture, NaN for messages without one."""
-        known = self.stamps_s > 0.0
-        if np.isnan(self.stamps_s).all():
-            return np.where(self.received_s > 0.0, self.received_s, np.nan)
-        topic = printable(self.topic)
-        if not known.any():
-            tally.say(f"{topic}: no time of capture in the headers; the time of reception is used")
-            return self.received_s
-        tally.count(
-            f"messages of {topic} have no time (sent before the clock)", int((~known).sum())
-        )
-        found = np.full(known.size, np.nan)
-        found[known] = self._stamps(known, tally)
-        late = int((np.diff(found[known]) < 0.0).sum())
-        if late:
-            tally.say(f"{topic}: {late} messages out of order, sorted by their time of capture")
-        return found
-
-    def _stamps(self, known: NDArray[np.bool_], tally: Tally) -> Array:
-        topic = printable(self.topic)
+    def rejoin(self, tally: Tally) -> None:
+        """Undo steps of the clock of the sender that the reception does not show."""
+        known = np.flatnonzero(self.stamps_s > 0.0)
         stamps_s = self.stamps_s[known]
         received_s = self.received_s[known]
         for at in _steps(stamps_s, received_s):
             by_s = np.diff(received_s)[at - 1] - np.diff(stamps_s)[at - 1]
             stamps_s[at:] += by_s
             tally.say(
-                f"{topic}: its clock steps by {-by_s:.1f} s, "
+                f"{self.topic}: its clock steps by {-by_s:.1f} s, "
                 f"{stamps_s[at] - stamps_s[0]:.1f} s after the first message; rejoined"
             )
-        delay_s = float(np.quantile(received_s - stamps_s, _SHORTEST))
-        if not 0.0 <= delay_s <= _LONGEST_DELAY_S:
-            stamps_s += delay_s
-            if abs(delay_s) > _NOTABLE_S:
+        self.stamps_s[known] = stamps_s
+
+    @property
+    def delay_s(self) -> float:
+        """Shortest delay from capture to reception, by two clocks; NaN without stamps."""
+        known = self.stamps_s > 0.0
+        delays_s = (self.received_s - self.stamps_s)[known]
+        return float(np.quantile(delays_s, _SHORTEST)) if delays_s.size else math.nan
+
+    def captured_s(self, offset_s: float, tally: Tally) -> Array:
+        """Return the times of capture, NaN for messages without one.
+
+        The clock of the recorder is ahead of the others by an offset.
+        """
+        stamped = not np.isnan(self.stamps_s).all()
+        delay_s = self.delay_s - offset_s
+        if np.isnan(delay_s):
+            if stamped:
                 tally.say(
-                    f"{topic}: its clock differs by {delay_s:.1f} s from the recorder's; aligned"
+                    f"{self.topic}: no time of capture in the headers; the time of reception is "
+                    "used"
                 )
-        return stamps_s
+            known = self.received_s > 0.0
+            times_s = self.received_s - offset_s
+        else:
+            known = self.stamps_s > 0.0
+            aligned = 0.0 <= delay_s <= _LONGEST_DELAY_S
+            times_s = self.stamps_s + (0.0 if aligned else delay_s)
+            if not aligned and abs(delay_s) > _NOTABLE_S:
+                tally.say(f"{self.topic}: its clock differs by {delay_s:.1f} s; aligned")
+        tally.count(
+            f"messages of {self.topic} have no time (sent before the clock)", int((~known).sum())
+        )
+        late = int((np.diff(times_s[known]) < 0.0).sum())
+        if late:
+            tally.say(
+                f"{self.topic}: {late} messages out of order, sorted by their time of capture"
+            )
+        return np.where(known, times_s, np.nan)
+
+
+def captured(streams: list[Times], tally: Tally) -> list[Array]:
+    """Return the times of capture of the messages of topics, on one clock."""
+    rejoin(streams, tally)
+    for stream in streams:
+        stream.rejoin(tally)
+    # A delay of small messages is an offset of the recorder's clock.
+    delays_s = [one.delay_s for one in streams if not one.large and not np.isnan(one.delay_s)]
+    offset_s = min(delays_s, key=abs, default=0.0)
+    return [stream.captured_s(offset_s, tally) for stream in streams]
 
 
 def rejoin(streams: list[Times], tally: Tally) -> None:

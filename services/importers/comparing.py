@@ -33,7 +33,6 @@ _STILL: Final = 1e-4  # Change of a pose at rest, in metres, radians and their r
 _MOST_STRANDS: Final = 100
 _LEAST_KEPT: Final = 0.3  # Least share of the poses in the kept strands; else it is no path.
 _PAUSE: Final = 3.0  # Times the usual period of the camera that is a pause.
-_MOST_LINES: Final = 5  # Reported jumps of a drive.
 _WINDOW_S: Final = 1.0  # Duration over which poses and velocities are compared: a command lags.
 _CLEARLY: Final = 3.0  # Times the least velocity that certainly moves the robot.
 _ALWAYS: Final = 0.9  # Share of the windows that stands for the whole drive.
@@ -81,16 +80,19 @@ def _without_pauses(drive: ImportedDrive, tally: Tally) -> ImportedDrive:
     middles_s = (frames_s[gaps] + frames_s[gaps + 1]) / 2.0
     still = views_go_on(drive, middles_s) if len(drive.track) else [False] * gaps.size
     omitted_s = 0.0
+    left_out: list[str] = []
+    kept: list[str] = []
     for gap, middle_s, view_goes_on in zip(gaps.tolist(), middles_s.tolist(), still, strict=True):
         took_s = float(later_s[gap])
-        at_s = frames_s[gap] - frames_s[0]
+        pause = f"for {took_s:.1f} s at {frames_s[gap] - frames_s[0]:.1f} s"
         if view_goes_on and _stands(drive, middle_s - omitted_s):
             drive = drive.without(middle_s - omitted_s, took_s - usual_s)
             omitted_s += took_s - usual_s
-            done = "; left out, because neither pose nor view changes"
+            left_out.append(pause)
         else:
-            done = ""
-        tally.say(f"{drive.called}: no image for {took_s:.1f} s at {at_s:.1f} s{done}")
+            kept.append(pause)
+    tally.say_all(f"{drive.called}: no image", kept)
+    tally.say_all(f"{drive.called}: left out, as neither pose nor view changes:", left_out)
     return drive
 
 
@@ -136,10 +138,10 @@ def _kept_strands(drive: ImportedDrive, moves: Moves | None, tally: Tally) -> _K
     if kept.sum() < _LEAST_KEPT * kept.size:
         kept[:] = False
     elif not kept.all():
-        at = spans(drive.track[~kept, 0] - drive.times_s[0])
-        tally.say(
+        tally.say_all(
             f"{drive.called}: {int((~kept).sum())} of {kept.size} poses contradict the others, "
-            f"as of a second publisher, at {at}; they are left out"
+            "as of a second publisher, and are left out, at",
+            spans(drive.track[~kept, 0] - drive.times_s[0]),
         )
     rows = np.flatnonzero(kept)
     return _Kept(rows, np.flatnonzero(np.diff(labels[rows])) + 1)
@@ -264,10 +266,10 @@ def _report_standing(drive: ImportedDrive, windows: _Windows, tally: Tally) -> N
     stands = (windows.gone[:, 0] < LEAST_LINEAR) & (windows.turned[:, 0] < LEAST_ANGULAR)
     found_s = windows.times_s[stands & (windows.gone[:, 1] > _CLEARLY * LEAST_LINEAR)]
     if found_s.size * _WINDOW_S > _NOTABLE:
-        at = spans(found_s + drive.track[0, 0] - drive.times_s[0])
-        tally.say(
-            f"{drive.called}: the odometry stands although the velocities drive at {at}; "
-            "the robot was blocked, or its odometry failed"
+        tally.say_all(
+            f"{drive.called}: the odometry stands although the velocities drive (the robot was "
+            "blocked, or its odometry failed) at",
+            spans(found_s + drive.track[0, 0] - drive.times_s[0]),
         )
 
 
@@ -296,29 +298,30 @@ def _joined(
     """Join the strands end to end, and cut the drive where the join is uncertain."""
     track = drive.track.copy()
     cuts: list[float] = []
-    lines: list[str] = []
+    reports: list[str] = []
     middles_s = (track[breaks - 1, 0] + track[breaks, 0]) / 2.0
     for at, middle_s, view_goes_on in zip(
         breaks.tolist(), middles_s.tolist(), views_go_on(drive, middles_s), strict=True
     ):
         took_s = track[at, 0] - track[at - 1, 0]
         jump = seen_from(track[at, 1:], track[at - 1, 1:])
-        if view_goes_on and (moves is not None or took_s <= HOLD_S):
-            done = "joined, because the view goes on"
+        if not view_goes_on:
+            done = "the drive is cut there, as the view changes too"
+        elif moves is None and took_s > HOLD_S:
+            done = "the drive is cut there, as there are no velocities in between"
+        else:
+            done = "joined, as the view goes on"
             step = _step(track, at, moves)
             track[at:, 1:] = placed(
                 seen_from(track[at:, 1:], track[at, 1:]), placed(step, track[at - 1, 1:])
             )
-        else:
-            done = "the drive is cut there, because the view changes too"
+        if not done.startswith("joined"):
             cuts.append(middle_s)
-        lines.append(
-            f"{drive.called}: the odometry jumps by {np.hypot(jump[0], jump[1]):.2f} m and "
-            f"{np.degrees(jump[2]):.0f} degrees at {middle_s - drive.times_s[0]:.1f} s; {done}"
+        reports.append(
+            f"{np.hypot(jump[0], jump[1]):.2f} m and {np.degrees(jump[2]):.0f} degrees at "
+            f"{middle_s - drive.times_s[0]:.1f} s ({done})"
         )
-    for line in lines[:_MOST_LINES]:
-        tally.say(line)
-    tally.count(f"further jumps of the odometry, {drive.called}", len(lines[_MOST_LINES:]))
+    tally.say_all(f"{drive.called}: the odometry jumps by", reports)
     return list(_parts(replace(drive, track=track), cuts))
 
 

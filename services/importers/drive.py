@@ -112,6 +112,12 @@ class Tally:
         if remark not in self.remarks:
             self.remarks.append(remark)
 
+    def say_all(self, what: str, places: list[str]) -> None:
+        """Add a remark on all places where something is so, if any."""
+        if places:
+            more = f" and {len(places) - _MOST_SPANS} more" if len(places) > _MOST_SPANS else ""
+            self.say(f"{what} {', '.join(places[:_MOST_SPANS])}{more}")
+
     def counted(self) -> list[str]:
         """Return the counted defects, one per line."""
         return [f"{times} {what}" for what, times in self.counts.items()]
@@ -121,17 +127,15 @@ class Tally:
         return [*self.remarks, *self.counted()]
 
 
-def spans(times_s: Array) -> str:
-    """Return the spans of times as text: ``3.0 to 5.1 s, 8.0 s and 2 more``."""
+def spans(times_s: Array) -> list[str]:
+    """Return the spans of times as text, such as ``3.0 to 5.1 s``."""
     parts = np.split(times_s, np.flatnonzero(np.diff(times_s) > _APART_S) + 1)
-    texts = [
+    return [
         f"{part[0]:.1f} s"
         if part[-1] - part[0] < _TENTH_S
         else f"{part[0]:.1f} to {part[-1]:.1f} s"
-        for part in parts[:_MOST_SPANS]
+        for part in parts
     ]
-    more = f" and {len(parts) - _MOST_SPANS} more" if len(parts) > _MOST_SPANS else ""
-    return ", ".join(texts) + more
 
 
 def motion_of(rows: Rows, tally: Tally) -> Array:

@@ -82,7 +82,8 @@ class Stream:
         """Return the times of the messages by all clocks, in the order of the file."""
         self._rows = np.array(self._values).reshape(-1, _COLUMNS)
         numbers, received_s, stamps_s = self._rows[:, :3].T.copy()
-        return Times(printable(self.topic), numbers.astype(np.int64), received_s, stamps_s)
+        large = self.type in IMAGES
+        return Times(printable(self.topic), numbers.astype(np.int64), received_s, stamps_s, large)
 
     def settle(self, captured_s: Array) -> None:
         """Order the messages by their time of capture; omit those without."""

@@ -4,7 +4,6 @@ The driver's command determines the actions if it drives when the odometry moves
 velocities of the odometry do. The pose is that of the odometry that covers the images and moves.
 """
 
-from collections import Counter
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from schemas.base import TICK_S
 from schemas.codec import printable
 from services.importers.bags import Received, decoded, header_of
-from services.importers.clocks import rejoin
+from services.importers.clocks import captured
 from services.importers.drive import Array, ImportFailure, Tally, spans
 from services.importers.job import ImportJob
 from services.importers.streams import (
@@ -62,7 +61,7 @@ class Topics:
         self._path = path
         self._streams: _Streams = {}
         self._cameras: dict[str, tuple[str, Camera]] = {}  # Frame and calibration.
-        self._others: Counter[str] = Counter()
+        self._others: dict[str, str] = {}  # Types of topics that no drive needs.
 
     def take(self, message: Received, number: int) -> None:
         """Add a message; ValueError if it does not fit its type."""
@@ -78,7 +77,7 @@ class Topics:
                     camera_of_ros(decoded(message)),
                 )
         else:
-            self._others[f"{topic} ({message.type})"] += 1
+            self._others[topic] = message.type
 
     def choose(self, job: ImportJob, tally: Tally) -> Chosen:
         """Return the topics of the drive, by content or by option."""
@@ -97,10 +96,9 @@ class Topics:
     def _order(self, tally: Tally) -> None:
         """Set the times of capture of all streams."""
         streams = [stream for stream in self._streams.values() if len(stream)]
-        times = [stream.times() for stream in streams]
-        rejoin(times, tally)
-        for stream, clocks in zip(streams, times, strict=True):
-            stream.settle(clocks.captured_s(tally))
+        times = captured([stream.times() for stream in streams], tally)
+        for stream, captured_s in zip(streams, times, strict=True):
+            stream.settle(captured_s)
 
     def _of(self, types: tuple[str, ...]) -> list[Stream]:
         return [one for one in self._streams.values() if one.type in types and one.times_s.size]
@@ -214,17 +212,18 @@ class Topics:
         )
         for one in (velocity, odometry):
             if one is not None and one.sideways_s.size:
-                tally.say(
-                    f"{printable(one.topic)} goes sideways, without a matching action, at "
-                    f"{spans(one.sideways_s - images.times_s[0])}"
+                tally.say_all(
+                    f"{printable(one.topic)} goes sideways, without a matching action, at",
+                    spans(one.sideways_s - images.times_s[0]),
                 )
                 break
         used = (images, velocity, odometry)
         rest = [one.text for one in self._streams.values() if one not in used]
-        rest += [f"{printable(name)}" for name in self._others]
+        if self._others:
+            kinds = printable(", ".join(sorted(set(self._others.values()))), 200)
+            rest.append(f"{len(self._others)} of other types ({kinds})")
         if rest:
-            more = f" and {len(rest) - _MOST_NAMES} more" if len(rest) > _MOST_NAMES else ""
-            tally.say(f"topics not used: {', '.join(rest[:_MOST_NAMES])}{more}")
+            tally.say(f"topics not used: {', '.join(rest)}")
 
 
 def _thinned(times_s: Array) -> Array:

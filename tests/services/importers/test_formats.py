@@ -210,7 +210,7 @@ def test_folder_is_mended_when_clock_and_odometry_are_reset(tmp_path: Path) -> N
     check_drive(episode_of(report), within_m=0.06)
     text = "\n".join(tally.lines())
     assert "the clock is set back by 1.0 s, 1.5 s after" in text
-    assert "the drive: the odometry jumps by 2.90 m and 0 degrees at 1.5 s; joined" in text
+    assert "the drive: the odometry jumps by 2.90 m and 0 degrees at 1.5 s (joined" in text
 
 
 def test_a_slow_camera_shows_frames_twice(tmp_path: Path) -> None:
