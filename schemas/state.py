@@ -73,6 +73,10 @@ class State(Message):
     """Sum of the evidence since the start, or since the robot was last lost (filter only)."""
     camera: Literal["sees", "blank", "frozen"] = "sees"
     """State of the camera: blank has no texture, frozen stays the same while the wheels move."""
+    pitch_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
+    """Estimated angle by which the camera points further down than when it was taught, degrees
+    (filter only).
+    """
     seen: Annotated[float | None, Field(ge=0, le=1)] = None
     """Probability that the target is in view; None if there is no target detector (filter only)."""
     near: Annotated[float, Field(ge=0, le=1e3)] = 0.0

@@ -88,14 +88,15 @@ class CameraPitch:
         self._spacing = 1.0 / visual_map.config.views_a_length
         self.reset()
 
-    def reset(self) -> None:
-        """Start a new episode with the taught pitch."""
+    def reset(self, pitch_deg: float = 0.0) -> None:
+        """Start a new episode; `pitch_deg` is held until another pitch is clearly more likely."""
         count = len(self._config.pitches_deg)
-        level = np.array(self._config.pitches_deg) == 0.0
+        pitches_deg = np.array(self._config.pitches_deg)
+        level = pitches_deg == 0.0
         prior = np.where(level, 1.0 - self._config.changed, self._config.changed / (count - 1))
         self._prior = np.log(prior)
         self._evidence = np.zeros(count)
-        self._held = int(level.argmax())
+        self._held = int(np.abs(pitches_deg - pitch_deg).argmin())
         self._apart = self._spacing
         self._lengths = math.inf
         self._comparing: _Comparison | None = None
@@ -114,7 +115,7 @@ class CameraPitch:
 
     def compare(
         self, picture: Uint8s | None, keyframe: int, certainty: float, lengths: float
-    ) -> None:
+    ) -> bool:
         """Take the picture of a frame into account, as far as the time of a frame allows.
 
         Parameters
@@ -127,12 +128,19 @@ class CameraPitch:
             Probability of being near it.
         lengths : float
             Way since the frame before, in correlation lengths.
+
+        Returns
+        -------
+        bool
+            Whether percepts are levelled by another pitch from now on.
         """
+        before = self._held
         self._lengths += lengths
         if self._comparing is None:
             self._comparing = self._begun(picture, keyframe, certainty)
         if self._comparing is not None:
             self._go_on(self._comparing)
+        return self._held != before
 
     def _begun(self, picture: Uint8s | None, keyframe: int, certainty: float) -> _Comparison | None:
         """Begin a comparison if the view is new and the place is certain."""

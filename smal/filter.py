@@ -8,7 +8,8 @@ The hidden state is a pose beside a taught keyframe (the keyframe, the way ahead
 * *Update* weighs each particle by the likelihood of the view (`smal.likelihood`), for the part of the view that is
   new. "Lost" has the likelihood 1, like any other place.
 * A *jump* covers movements that the odometry misses: the robot was carried, or the filter follows a wrong place.
-  A jump can happen with every new view. It is more likely when the view differs much from the view before.
+  A jump can happen with every new view. A robot that was carried sees another view: the jump is more likely when
+  the view differs from the view before, and less likely when it continues it.
 * A second set of particles follows the hypothesis of a jump. Scouts join it with every view. They are drawn by the
   likelihood of the view, half of them near the last certain pose. When this set becomes more likely than the first,
   the two sets are joined.
@@ -62,6 +63,8 @@ class Belief:
     camera: CameraState = "sees"
     #: Sum of the evidence since the start, or since the robot was last lost; at least 0.
     support: float = math.inf
+    #: Estimated angle by which the camera points further down than when it was taught.
+    pitch_deg: float = 0.0
 
     @property
     def is_lost(self) -> bool:
@@ -205,15 +208,12 @@ class Filter:
         self._jumped: Particles | None = None
         at_start, anywhere, lost = self._config.first
         self._odds = _Odds(at_start, 0.0, anywhere, lost)
-        self._newness = Newness(self._map)
         self._frozen = Frozen(self._map)
+        self.forget_view()
         self._started = False
         self._unseen = 0.0
         self._support = 0.0
         self._camera: CameraState = "sees"
-        #: Components of the last new view, and the step since then.
-        self._last = np.zeros(self._map.basis.shape[1], dtype=np.float32)
-        self._since = np.zeros(3)
         #: Drive and pose of the last certain position, moved on by the odometry, and its error.
         self._sure: tuple[int, Floats, float] | None = None
         if belief is not None:
@@ -221,6 +221,13 @@ class Filter:
             self._odds = _Odds(1.0 - belief.lost, 0.0, 0.0, belief.lost)
             self._support = belief.support
             self._started = True
+
+    def forget_view(self) -> None:
+        """Forget the views before: the next one is entirely new, and neither confirms nor denies a jump."""
+        self._newness = Newness(self._map)
+        #: Components of the last new view, and the step since then.
+        self._last = np.zeros(self._map.basis.shape[1], dtype=np.float32)
+        self._since = np.zeros(3)
 
     def _at_starts(self) -> Particles:
         """Scatter particles about the first keyframes of all drives."""
@@ -279,7 +286,7 @@ class Filter:
         self._frozen.look(centred, step if self._started else np.zeros(3))
         seen = self._seen(centred)
         if self._started:
-            self._jump(seen, movement)
+            self._jump(seen, movement, noise)
             self._move(movement, noise, seen.newness)
             if self._sure is not None:
                 drive, pose, reach = self._sure
@@ -326,11 +333,12 @@ class Filter:
             return evidence
         return evidence._replace(spread=spread, newness=self._newness.of(centred))
 
-    def _jump(self, seen: ViewEvidence, movement: Movement) -> None:
+    def _jump(self, seen: ViewEvidence, movement: Movement, noise: MotionNoise) -> None:
         """Move probability from the tracked particles to scouts and to "lost".
 
-        Every new view moves a little. A view that differs from the view before, though the robot has hardly moved,
-        moves much. Without views, confidence in the odometry decays.
+        Every new view moves a little. A view that differs from the view before, though the robot has hardly
+        moved, moves much; a view that continues the view before moves nearly nothing. Without views,
+        confidence in the odometry decays.
         """
         tracked, jumped, sent, lost = self._odds
         if seen.spread == 0.0:
@@ -338,7 +346,7 @@ class Filter:
             strayed = (1.0 - kept) * (tracked + jumped)
             self._odds = _Odds(kept * tracked, kept * jumped, sent, lost + strayed)
             return
-        jump = self._jump_probability(seen)
+        jump = self._jump_probability(seen, noise.jump)
         _, anywhere, nowhere = self._config.first
         out = nowhere / (anywhere + nowhere)
         back = self._config.back * seen.newness
@@ -352,19 +360,22 @@ class Filter:
             lost=lost - found + gone * out,
         )
 
-    def _jump_probability(self, seen: ViewEvidence) -> float:
+    def _jump_probability(self, seen: ViewEvidence, usual: float) -> float:
         """Return the probability of a jump, given how much the view differs from the view before.
 
-        If two views differ, either the robot has jumped, or something hides the place in one of them.
+        `usual` is the probability without this difference, for a view that is entirely new. If two views
+        differ, either the robot has jumped, or something hides the place in one of them.
         """
+        if not self._last.any():
+            return usual * seen.newness
         z = seen.stands_out(seen.components @ self._last)
         like_last = float(self._map.likelihood.of(z))
         visible = 1.0 - float(self._tracked.shares[0])
-        surprise = max(-self._map.expected(self._since) * like_last, 0.0)
+        surprise = -self._map.expected(self._since) * like_last
         rise = visible * math.expm1(surprise)
         hides = self._config.hides(self._map.config.hidden)
-        either = (self._config.jump + hides) * seen.newness * rise
-        return self._config.jump * seen.newness * (1.0 + rise) / (1.0 + either)
+        either = (usual + hides) * seen.newness * rise
+        return usual * seen.newness * (1.0 + rise) / (1.0 + either)
 
     def _move(self, movement: Movement, noise: MotionNoise, newness: float) -> None:
         """Predict; particles that leave the taught area become "lost"."""

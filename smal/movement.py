@@ -63,6 +63,9 @@ class MotionNoise(NamedTuple):
     pace_lengths: float = 10.0
     #: Degrees of heading a correlation length (carpets, kerbs); grows with the square root of the way.
     drift_deg: float = 1.5
+    #: Probability, for each new view, of a jump: the robot was carried (kidnapped), or its movement was far
+    #: outside of these deviations. The view before makes a jump more likely, or less.
+    jump: float = 5e-3
 
 
 #: Wheels slip a little, and the odometry of two robots differs by a twentieth. A wheel keeps its size:
@@ -70,8 +73,8 @@ class MotionNoise(NamedTuple):
 BY_ODOMETRY: Final = MotionNoise(ahead=0.05, turn=0.03, pace=0.05, pace_lengths=100.0)
 #: Only the usual movement of an atom is known. Another drive is half or twice as fast (one standard
 #: deviation). Within a correlation length or a radian, the robot stops or moves twice as far (two
-#: standard deviations).
-BY_ATOMS: Final = MotionNoise(ahead=0.5, turn=0.5, pace=math.log(2.0))
+#: standard deviations). The usual movement misses a robot that is held, so jumps are more likely.
+BY_ATOMS: Final = MotionNoise(ahead=0.5, turn=0.5, pace=math.log(2.0), jump=2e-2)
 
 
 def wrapped(angle_rad: AnyArray) -> AnyArray:

@@ -24,9 +24,6 @@ class FilterConfig:
     first: tuple[float, float, float] = (0.5, 0.35, 0.15)
     #: Scatter of the start, as time of driving.
     start_s: float = 0.5
-    #: Probability, for each new view, that the robot was carried or the filter follows a wrong place. It is larger if
-    #: the view differs from the view before.
-    jump: float = 5e-3
     #: Probability, for each new view, that a lost robot is back beside the way.
     back: float = 0.05
     #: Probability, for each new view, that a hidden place is visible again.

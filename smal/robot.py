@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -109,7 +109,7 @@ class Localizer:
     def reset(self, belief: Belief | None = None, pose: Sequence[float] | None = None) -> None:
         """Start a new episode, optionally from a belief and the odometry pose at its frame."""
         self._filter.reset(belief)
-        self._pitch.reset()
+        self._pitch.reset(0.0 if belief is None else belief.pitch_deg)
         self._pose = pose if self._map.odometry else None
         self._since_near = math.inf
         self._time_s = 0.0
@@ -131,16 +131,12 @@ class Localizer:
         picture = percept.picture
         percept = self._pitch.levelled(percept)
         whole = self.observe(percept.features, odometry, made, elapsed_s)
+        whole = replace(whole, pitch_deg=self._pitch.pitch_deg)
         seen = self.seen(percept.picture, whole, percept.detected)
         belief = whole.summary()
         self._compare(picture, belief)
         strange = self.strange(percept.picture, belief) if self._watches else math.inf
         return Located(whole, belief, seen, strange)
-
-    @property
-    def pitch_deg(self) -> float:
-        """Estimated angle by which the camera points further down than when it was taught."""
-        return self._pitch.pitch_deg
 
     def _compare(self, picture: Uint8s | None, belief: Belief) -> None:
         """Compare a small picture with the map, for the pitch of the camera."""
@@ -149,7 +145,8 @@ class Localizer:
         near[beside(self._map, best, self._map.config.neighbours)] = True
         certainty = (1.0 - belief.lost) * belief.share(near)
         picture = picture if belief.camera == "sees" else None
-        self._pitch.compare(picture, best, certainty, self._map.lengths(self._movement))
+        if self._pitch.compare(picture, best, certainty, self._map.lengths(self._movement)):
+            self._filter.forget_view()
 
     def seen(
         self, picture: Uint8s | None, belief: Belief, detected: Iterable[Detection] = ()
@@ -395,11 +392,6 @@ class Robot:
     def lost(self) -> bool:
         """Whether the robot is more likely lost than not."""
         return self.belief.is_lost
-
-    @property
-    def pitch_deg(self) -> float:
-        """Estimated angle by which the camera points further down than when it was taught."""
-        return self._localizer.pitch_deg
 
     @property
     def said(self) -> Said | None:

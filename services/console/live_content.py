@@ -163,6 +163,7 @@ class LiveContent:
             lost=round(state.lost, 3),
             cosine=round(state.cosine, 3),
             camera=state.camera,
+            pitch=state.pitch_deg,
             seen=None if state.seen is None else round(state.seen, 3),
             left=state.seen_left,
             gap=state.duality_gap,

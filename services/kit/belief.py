@@ -27,6 +27,7 @@ def fields_of(located: Located) -> dict[str, Any]:
         "unseen_m": belief.unseen,
         "support": min(belief.support, 1e9),
         "camera": belief.camera,
+        "pitch_deg": belief.pitch_deg,
     }
     if located.seen is not None:
         fields |= dict(zip(("seen", "near", "seen_left"), located.seen, strict=True))
@@ -48,6 +49,7 @@ def belief_of(state: State) -> Belief:
         evidence=state.evidence,
         unseen=state.unseen_m,
         camera=state.camera,
+        pitch_deg=state.pitch_deg,
         support=math.inf if state.support is None else state.support,
     )
 

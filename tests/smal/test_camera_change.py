@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from smal.camera_change import CameraPitch
 from smal.features.percept import perceive
+from smal.filter import Belief
 from smal.model import Model
 from smal.robot import Localizer
 from tests.smal import synthetic_world
@@ -36,15 +38,15 @@ def pitch_camera(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     return pitch
 
 
-def followed(light: float = 1.0) -> Localizer:
-    """Return the localizer after the taught drive under a share of the taught light."""
+def followed(light: float = 1.0) -> Belief:
+    """Return the belief after the taught drive under a share of the taught light."""
     mapped, centering = usual_map()
     localizer = Localizer(Model(centering, mapped))
     for pose in drive().poses:
         image = np.rint(light * ROOM.look(pose)).astype(np.uint8)
         located = localizer.locate(perceive(image, COLOR), pose.tolist())
         assert not located.belief.is_lost
-    return localizer
+    return located.belief
 
 
 @pytest.mark.parametrize("pitch_deg", [-5.0, 5.0])
@@ -59,6 +61,20 @@ def test_pitch_is_estimated_when_the_camera_has_changed(
 @pytest.mark.parametrize("light", [0.6, 1.0])
 def test_pitch_stays_when_only_the_light_has_changed(light: float) -> None:
     assert followed(light).pitch_deg == 0.0
+
+
+def test_pitch_lasts_when_another_localizer_takes_over(
+    pitch_camera: Callable[[float], None],
+) -> None:
+    mapped, centering = usual_map()
+    pitch_camera(5.0)
+    localizer = Localizer(Model(centering, mapped))
+    belief = replace(followed(), pitch_deg=5.0)
+    pose = drive().poses[-1]
+    localizer.reset(belief, pose.tolist())
+    after = localizer.locate(perceive(ROOM.look(pose), COLOR), pose.tolist()).belief
+    assert after.pitch_deg == 5.0
+    assert after.cosine > 0.6
 
 
 def test_levelled_percept_is_like_the_taught_one_when_pitched(

@@ -98,10 +98,11 @@ export function episodeFacts(robot) {
 export function beliefFacts(belief, age) {
   if (!belief) return "Nothing yet: begin a run.";
   if (age >= 2) return `This is ${seconds(age)} old.`;
-  const { status, keyframe, lost, sure, state, gap, camera } = belief;
+  const { status, keyframe, lost, sure, state, gap, camera, pitch } = belief;
   if (CAMERAS[camera]) return CAMERAS[camera];
   if (status === "unknown") return `Lost${keyframe === undefined ? "" : ` (${percent(lost)})`}: no taught place matches.`;
-  if (keyframe !== undefined) return `The robot is ${percent(sure)} sure of this place, and ${percent(lost)} lost.`;
+  const changed = pitch ? ` Its camera points ${Math.abs(pitch)}° ${pitch > 0 ? "down" : "up"} from the taught direction; views are corrected.` : "";
+  if (keyframe !== undefined) return `The robot is ${percent(sure)} sure of this place, and ${percent(lost)} lost.${changed}`;
   if (Number.isInteger(state)) return `The paper's scheme: state ${state}, duality gap ${gap.toExponential(0)}.`;
   return status === "recognized" ? "The page reads the model …" : "The robot has not recognized a taught place yet.";
 }

@@ -25,6 +25,7 @@ def test_belief_is_whole_after_it_crosses_the_bus(support: float) -> None:
         unseen=0.75,
         camera="frozen",
         support=support,
+        pitch_deg=-2.5,
     )
     head = {"robot": "rescue", "episode": "drive-0", "tick": 1, "stamp_ns": 1}
     sent = fields_of(Located(belief, belief, None, math.inf))
