@@ -17,9 +17,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from services.importers.drive import Array, Image, ImportedDrive, NotAnImage, Tally, spans
+from services.importers.drive import Array, Image, ImportedDrive, Tally, spans
 from services.importers.ticks import HOLD_S, LEAST_ANGULAR, LEAST_LINEAR, Moves, moving
-from services.kit.jpeg import decode_image_file, shrunk
+from services.importers.views import lateness_s, views_go_on
 from smal.movement import placed, seen_from, wrapped
 
 #: Times the usual speed that no robot exceeds from one pose to the next.
@@ -40,10 +40,6 @@ _ALWAYS: Final = 0.9  # Share of the windows that stands for the whole drive.
 _UNITS: Final = {1000.0: "millimetres", 100.0: "centimetres"}
 _ROUGHLY: Final = 1.5
 _NOTABLE: Final = 3.0  # Ratio of the lengths of two ways, or seconds of standing, to report.
-_THUMBNAIL: Final = 32  # Columns of a compared view.
-_FRAMES: Final = 3  # Frames before and after a jump.
-_JUMP: Final = 1.5  # Times the usual change between two views that is a jump.
-_NOISE: Final = 0.05  # Change between two views of the same place, in deviations of a pixel.
 
 
 def sound(drive: ImportedDrive, tally: Tally) -> list[ImportedDrive]:
@@ -65,7 +61,19 @@ def sound(drive: ImportedDrive, tally: Tally) -> list[ImportedDrive]:
         track[:, 1:3] *= _scale(drive, windows, tally)
     elif not len(track):
         tally.say(f"{drive.called}: the odometry is no path; it is left out")
-    return _joined(replace(drive, track=track), kept.breaks, moves, tally)
+    parts = _joined(replace(drive, track=track), kept.breaks, moves, tally)
+    return [_in_time(part, tally) for part in parts]
+
+
+def _in_time(drive: ImportedDrive, tally: Tally) -> ImportedDrive:
+    """Return a drive whose images have the times at which the odometry moves as they do."""
+    late_s = lateness_s(drive)
+    if late_s:
+        tally.say(
+            f"{drive.called}: the images are {late_s:.1f} s late, as the view turns after the "
+            "odometry; aligned"
+        )
+    return replace(drive, times_s=drive.times_s - late_s)
 
 
 def _without_pauses(drive: ImportedDrive, tally: Tally) -> ImportedDrive:
@@ -364,45 +372,3 @@ def _images(drive: ImportedDrive, frames: slice) -> Iterator[Image]:
 
 def _between(rows: Array, begin_s: float, end_s: float) -> Array:
     return rows[(rows[:, 0] >= begin_s) & (rows[:, 0] < end_s)]
-
-
-def views_go_on(drive: ImportedDrive, times_s: Array) -> list[bool]:
-    """Return at which times the view changes as it does just before and after.
-
-    Each view is compared with the next. Without views beside a time the answer is yes.
-    """
-    middles = np.searchsorted(drive.times_s, times_s).tolist()
-    beside = [range(max(0, at - _FRAMES), at + _FRAMES) for at in middles]
-    wanted = {frame for frames in beside for frame in frames}
-    views: dict[int, Array] = {}
-    for frame, image in enumerate(islice(drive.images(), max(wanted, default=-1) + 1)):
-        if frame in wanted and (view := _view(image)) is not None:
-            views[frame] = view
-    return [_goes_on(views, frames, at) for frames, at in zip(beside, middles, strict=True)]
-
-
-def _goes_on(views: dict[int, Array], frames: range, at: int) -> bool:
-    there = [frame for frame in frames if frame in views]
-    changes = {
-        later: float(np.abs(views[later] - views[earlier]).mean())
-        for earlier, later in pairwise(there)
-        if views[later].shape == views[earlier].shape
-    }
-    first = next((frame for frame in there if frame >= at), None)
-    if first not in changes:
-        return True
-    jump = changes.pop(first)
-    return jump <= _JUMP * max(changes.values(), default=0.0) + _NOISE
-
-
-def _view(image: Image) -> Array | None:
-    """Return a small grey view without brightness and contrast; None if it is damaged."""
-    try:
-        pixels = decode_image_file(image())
-    except NotAnImage:
-        return None
-    if pixels is None:
-        return None
-    grey = shrunk(pixels, _THUMBNAIL).mean(axis=2)
-    deviation = float(grey.std())
-    return np.asarray((grey - grey.mean()) / max(deviation, 1.0), dtype=np.float64)

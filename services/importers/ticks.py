@@ -154,7 +154,7 @@ def odometry(
     leaves the plausible area.
     """
     if drive.track.size:
-        poses, known = _tracked(drive.track, times_s)
+        poses, known = tracked(drive.track, times_s)
         if not known.any():
             return None
         poses = seen_from(poses, np.broadcast_to(poses[known][0], poses.shape))
@@ -187,7 +187,8 @@ def motion_along(track: Array) -> Array:
     return np.column_stack([times_s[before], rates])
 
 
-def _tracked(track: Array, times_s: Array) -> tuple[Array, NDArray[np.bool_]]:
+def tracked(track: Array, times_s: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the poses of a track at times, (n, 3), and whether samples are beside."""
     columns = (track[:, 1], track[:, 2], np.unwrap(track[:, 3]))
     poses = np.stack([np.interp(times_s, track[:, 0], column) for column in columns], axis=1)
     after = np.searchsorted(track[:, 0], times_s)

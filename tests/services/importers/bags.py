@@ -17,6 +17,8 @@ PERIOD_S: Final = 0.1
 SPEED: Final = 0.4  # Metres a second.
 FRAMES: Final = 120
 IMAGE: Final = "/camera/image/compressed"
+#: Turn rates of the drive and for how many frames each, in radians per second.
+LEGS: Final = ((0, 7), (0.5, 9), (0, 17), (-0.5, 12), (0, 6), (-0.5, 4), (0, 24), (0.5, 7), (0, 13))
 _COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
 _ODOMETRY: Final = "nav_msgs/msg/Odometry"
 _TWIST: Final = "geometry_msgs/msg/Twist"
@@ -47,8 +49,9 @@ def drive() -> tuple[Frame, ...]:
     """Return a winding drive at ten frames a second."""
     frames = []
     x = y = heading = 0.0
+    turns = [turn for turn, count in LEGS for _ in range(count)]
     for number in range(FRAMES):
-        turn = 0.5 * math.sin(0.1 * number)
+        turn = turns[number] if number < len(turns) else -0.5
         jpeg = encode_jpeg(corridor.view(x, y, heading))
         frames.append(Frame(PERIOD_S * number, (x, y, heading), SPEED, turn, jpeg))
         middle = heading + turn * PERIOD_S / 2.0

@@ -129,6 +129,19 @@ def test_commands_are_aligned_when_recorder_clock_differs(ahead_s: float, tmp_pa
     assert report.atoms["stop"] <= 1
 
 
+@pytest.mark.parametrize("late_s", [-1.5, 0.8])
+def test_images_are_aligned_by_their_view_when_clocks_differ(late_s: float, tmp_path: Path) -> None:
+    """The delay could be that of a network, and no clock shows that it is not."""
+    other = moved(
+        said(),
+        IMAGE,
+        lambda k, _one: image(drive()[k], late_s=1.5, stamp_s=bags.BEGIN_S + 0.1 * k + late_s),
+    )
+    report, tally = imported_of(other, tmp_path)
+    check_whole(report)
+    assert remark(tally, f"the images are {late_s:.1f} s late", "aligned")
+
+
 def test_message_before_the_clock_is_counted(tmp_path: Path) -> None:
     early = image(drive()[0], stamp_s=0.0)._replace(received_s=0.0)
     report, tally = imported_of([early, *said()], tmp_path)
