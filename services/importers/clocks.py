@@ -79,9 +79,9 @@ class Times:
             times_s = self.received_s - offset_s
         else:
             known = self.stamps_s > 0.0
-            aligned = 0.0 <= delay_s <= _LONGEST_DELAY_S
+            aligned = -_NOTABLE_S <= delay_s <= _LONGEST_DELAY_S
             times_s = self.stamps_s + (0.0 if aligned else delay_s)
-            if not aligned and abs(delay_s) > _NOTABLE_S:
+            if not aligned:
                 tally.say(f"{self.topic}: its clock differs by {delay_s:.1f} s; aligned")
         tally.count(
             f"messages of {self.topic} have no time (sent before the clock)", int((~known).sum())
