@@ -29,11 +29,12 @@ class Action(Message):
     ]
     """follow: along the taught way. action: the action of the paper's scheme. goal: the robot has
     arrived and reports that it found its goal, or that the goal is not here. search: it has
-    arrived and turns to find the target. dead_end: no taught way continues, and it stops. stop:
-    the state is unknown (paper's scheme). look_around: it turns on the spot because its place is
-    unknown. guess: it drives although its place is unknown, since turning did not help. blocked:
-    it waits for an obstacle without a way round. blind: it stops because no view has confirmed
-    its place for too long, or because its camera shows no texture.
+    arrived, and turns to find the target or approaches it. dead_end: no taught way continues, and
+    it stops. stop: the state is unknown (paper's scheme). look_around: it turns to find its place,
+    for example at the end of the way or after its wheels stalled. guess: it drives although its
+    place is unknown, since turning did not help. blocked: it waits before an obstacle, turns to
+    keep it in view, or backs off; it also backs off after its wheels stalled. blind: it stops
+    because no view has confirmed its place for too long, or because its camera shows no texture.
     """
     state: Annotated[int | None, Field(ge=0, le=1_000_000)] = None
     """Keyframe of the robot, or its state in the paper's scheme; None if the robot is lost."""

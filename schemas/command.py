@@ -6,21 +6,15 @@ from pydantic import Field, model_validator
 
 from schemas.base import ATOMS, KEYS, MAX_TICK, Atom, Message, SessionId, Source, Velocity
 
-#: Why the robot stands until it is armed: not armed since its start; an emergency stop; a lost
-#: operator; odometry that contradicts the commands; or a fault of the wheel driver.
+#: Causes of a latched stop: not armed since its start; an emergency stop; a lost operator; odometry
+#: that contradicts the commands; or a fault of the wheel driver.
 StopCause = Literal["not_armed", "emergency_stop", "operator_lost", "wheels", "fault"]
-#: Why the robot moves as it does; `CommandApplied.reason` describes each.
-Reason = Literal[
-    "command",
-    "obstacle",
-    "no_depth",
-    "insisted",
-    "radius",
-    "silence",
-    "taken_over",
-    "deaf",
-    "latched_stop",
-]
+#: Reasons to execute a command, in whole or limited.
+Limit = Literal["command", "obstacle", "no_depth", "insisted", "radius"]
+#: Reasons to stand without a command.
+Stand = Literal["silence", "taken_over", "deaf", "latched_stop"]
+#: Reason for the motion; `CommandApplied.reason` describes each.
+Reason = Literal[Limit, Stand]
 
 
 Share = Annotated[float, Field(ge=-1, le=1)]

@@ -1,4 +1,4 @@
-"""Array types by the type of their elements; docstrings give the shapes."""
+"""Array types by the type of their elements (docstrings give the shapes), and even selection."""
 
 from typing import Any
 
@@ -15,3 +15,9 @@ Uint8s = NDArray[np.uint8]
 Uint16s = NDArray[np.uint16]
 Bools = NDArray[np.bool_]
 AnyArray = NDArray[Any]
+
+
+def evenly(count: int, maximum: int) -> Indices:
+    """Return evenly spread integers below `count`, at most `maximum` of them."""
+    numbers = np.linspace(0, count - 1, min(count, maximum))
+    return np.unique(numbers.astype(np.intp))

@@ -7,9 +7,9 @@ The hidden state is a pose beside a taught keyframe (the keyframe, the way ahead
 * *Prediction* moves each particle by the odometry, or by the usual movement of the atoms, with noise.
 * *Update* weighs each particle by the likelihood of the view (`smal.likelihood`), for the part of the view that is
   new. "Lost" has the likelihood 1, like any other place.
-* A *jump* covers movements that the odometry misses: the robot was carried, or the filter follows a wrong place.
-  A jump can happen with every new view. A robot that was carried sees another view: the jump is more likely when
-  the view differs from the view before, and less likely when it continues it.
+* A *jump* covers movements that the odometry misses: the robot was carried (kidnapped), or the filter follows a
+  wrong place. A jump can happen with every new view. A robot that was carried sees another view: the jump is more
+  likely when the view differs from the view before, and less likely when it continues it.
 * A second set of particles follows the hypothesis of a jump. Scouts join it with every view. They are drawn by the
   likelihood of the view, half of them near the last certain pose. When this set becomes more likely than the first,
   the two sets are joined.
@@ -283,7 +283,7 @@ class Filter:
         if self._started:
             self._since = placed(step, self._since)
         self._newness.move(step)
-        self._frozen.look(centred, step if self._started else np.zeros(3))
+        self._frozen.observe(centred, step if self._started else np.zeros(3))
         seen = self._seen(centred)
         if self._started:
             self._jump(seen, movement, noise)
@@ -318,7 +318,7 @@ class Filter:
         keyframes, stand_for = self._map.likely(components)
         places = np.full(TURNS_DEG.size, 1)
         turns = np.arange(TURNS_DEG.size)
-        cosines = self._map.best_look(
+        cosines = self._map.best_variant(
             keyframes, lambda _, rows: self._map.cosines(components, rows[:, None], places, turns)
         )
         middle, spread = scale(self._map.sample @ components)
@@ -413,7 +413,7 @@ class Filter:
 
     def _looks_at_taught(self) -> float:
         """Return how far the tracked robot looks at taught views, 0 to 1."""
-        return float(self._tracked.weights @ self._tracked.looks())
+        return float(self._tracked.weights @ self._tracked.facing())
 
     def _scouts(self, seen: ViewEvidence, shares: Floats) -> tuple[Particles, float]:
         """Draw particles by the likelihood of one view; also return the likelihood of the view there."""

@@ -38,7 +38,7 @@ class Frozen:
         """Way since the last change of the picture, in the map's unit; 0 if the camera is not frozen."""
         return self._driven if self.yes else 0.0
 
-    def look(self, centred: Float32s, step: AnyArray) -> None:
+    def observe(self, centred: Float32s, step: AnyArray) -> None:
         """Process the centred features (m,) of a picture, and the movement (3,) since the picture before."""
         if self._before is None:
             self._before = centred

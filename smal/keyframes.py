@@ -43,7 +43,7 @@ class MapConfig:
     #: Leading components that select these keyframes on long ways.
     leading: int = 64
     #: Maximum view variants of a keyframe, the taught view included. More cost memory and time, and can be wrong.
-    looks: int = 4
+    most_variants: int = 4
     #: Keyframes that a drive can advance while another advances by one: drives stop, and turn elsewhere.
     advance: int = 3
     #: Standard deviations of odometry that are accepted.

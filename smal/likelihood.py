@@ -24,7 +24,7 @@ from typing import Final
 
 import numpy as np
 
-from smal.arrays import AnyArray, Floats, Indices
+from smal.arrays import AnyArray, Floats
 from smal.keyframes import MAP_CONFIG, MapConfig
 
 #: Grid of z. Beyond it the values at the ends hold.
@@ -36,12 +36,6 @@ ANY_DAY: Final = np.append(0.0, np.full(SHARES.size - 1, 1.0 / (SHARES.size - 1)
 _FINE = np.linspace(0.0, 1.0, 101)
 _WIDTH = float(GRID[1] - GRID[0])
 _EDGES = np.append(GRID, GRID[-1] + _WIDTH) - _WIDTH / 2.0
-
-
-def evenly(count: int, most: int) -> Indices:
-    """Return at most `most` evenly spread integers below `count`."""
-    numbers = np.linspace(0, count - 1, min(count, most))
-    return np.unique(numbers.astype(np.intp))
 
 
 def scale(sample: AnyArray) -> tuple[float, float]:

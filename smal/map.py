@@ -17,12 +17,12 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.arrays import AnyArray, Float32s, Floats, Indices, Int8s, Int32s
+from smal.arrays import AnyArray, Float32s, Floats, Indices, Int8s, Int32s, evenly
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG
 from smal.files.packed import BATCH, unit, unpacked
 from smal.files.stored import Content
 from smal.keyframes import MAP_CONFIG, MapConfig, without_detours
-from smal.likelihood import GRID, SHARES, Likelihood, evenly, standing_out
+from smal.likelihood import GRID, SHARES, Likelihood, standing_out
 from smal.movement import Atom, Movement, placed, seen_from
 
 _T = TypeVar("_T", bound=np.floating[Any])
@@ -31,7 +31,7 @@ _LONGEST = 1e6  # Maximum magnitude of the numbers in a map.
 _MOST_KEYFRAMES = 400_000  # 300 km of usual views.
 _NUMBERS: dict[str, Callable[[float], bool]] = {
     **dict.fromkeys(
-        ("aside", "correlation_length", "correlation_rad", "tick_s"),
+        ("correlation_length", "correlation_rad", "tick_s"),
         lambda number: 1e-6 <= number <= _LONGEST,
     ),
     "gamma": lambda number: 0.0 < number <= 1e3,
@@ -40,9 +40,9 @@ _NUMBERS: dict[str, Callable[[float], bool]] = {
 #: Number of axes of the arrays.
 _AXES = {
     "poses": 2, "drives": 1, "keyframes": 1, "basis": 2, "views": 4, "blank": 1, "movements": 2, "scene": 1,
-    "log_ratio": 2, "stitched": 2, "stitch_offsets": 2, "looks": 1,
+    "log_ratio": 2, "stitched": 2, "stitch_offsets": 2, "variants": 1,
 }  # fmt: skip
-_WHOLE = ("drives", "keyframes", "views", "stitched", "looks")
+_WHOLE = ("drives", "keyframes", "views", "stitched", "variants")
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +66,6 @@ class VisualMap:
     views: Int8s
     #: (r,) components of a blank picture, of unit length.
     blank: Float32s
-    #: Distance of the views from aside to the keyframe, in the map's unit.
-    aside: float
     #: Way ahead, and turn, after which the mean cosine of two views is half way to the cosine of unrelated views.
     correlation_length: float
     correlation_rad: float
@@ -94,8 +92,8 @@ class VisualMap:
     stitched: Int32s = field(default_factory=lambda: np.empty((0, 2), dtype=np.int32))
     #: (s, 3) pose of the first keyframe relative to the second: ahead, left, turned left in radians.
     stitch_offsets: Floats = field(default_factory=lambda: np.empty((0, 3)))
-    #: (e,) keyframe of each view variant (`smal.teaching.living`), the oldest first.
-    looks: Int32s = field(default_factory=lambda: np.empty(0, dtype=np.int32))
+    #: (e,) keyframe of each view variant (`smal.teaching.map_update`), the oldest first.
+    variants: Int32s = field(default_factory=lambda: np.empty(0, dtype=np.int32))
 
     config: MapConfig = MAP_CONFIG
 
@@ -159,14 +157,14 @@ class VisualMap:
         """Rows of `views` of each keyframe's second view variant, its third and so on, (k,) each; -1 if missing."""
         rows: list[Indices] = []
         rank = np.zeros(len(self.keyframes), dtype=np.intp)
-        for row, key in enumerate(self.looks.tolist(), len(self.keyframes)):
+        for row, key in enumerate(self.variants.tolist(), len(self.keyframes)):
             if rank[key] == len(rows):
                 rows.append(np.full(len(self.keyframes), -1))
             rows[rank[key]][key] = row
             rank[key] += 1
         return rows
 
-    def best_look(self, keyframes: Indices, score: Callable[..., NDArray[_T]]) -> NDArray[_T]:
+    def best_variant(self, keyframes: Indices, score: Callable[..., NDArray[_T]]) -> NDArray[_T]:
         """Return the best score of each keyframe (n,) over its view variants, (n, ...).
 
         Parameters
@@ -209,7 +207,7 @@ class VisualMap:
         """Rows of `views` in the overview, and the index of the fifth keyframe that each row shows."""
         step = self.config.views_a_length
         first = self.config.views_a_length // 2
-        keys = np.append(np.arange(len(self.keyframes)), self.looks).astype(np.intp)
+        keys = np.append(np.arange(len(self.keyframes)), self.variants).astype(np.intp)
         rows = np.flatnonzero(keys % step == first)
         return rows, keys[rows] // step
 
@@ -273,10 +271,35 @@ class VisualMap:
         """Goal of the drive of each keyframe, (k,)."""
         return np.array(self.goals)[self.key_drives]
 
+    @property
+    def drive_count(self) -> int:
+        """Number of drives."""
+        return len(self.goals)
+
     @cached_property
     def frames(self) -> Indices:
         """Number of frames of each drive, (d,)."""
         return np.bincount(self.drives)
+
+    def chosen_goal(self, goal: str | None) -> str:
+        """Return the goal, or the only goal of the map; ValueError if it is not found or ambiguous."""
+        known = sorted(set(self.goals))
+        if goal is None and len(known) > 1:
+            raise ValueError(f"the model has the goals {', '.join(known)}; name one of them")
+        if goal is not None and goal not in known:
+            raise ValueError(f"the model has no goal {goal!r}; it has {', '.join(known)}")
+        return known[0] if goal is None else goal
+
+    def frames_along(self, keyframes: Indices | int, way: Floats) -> Indices:
+        """Return the frames on the drives of keyframes at a `way` (`arc`), at most to their ends."""
+        first, last = (self.keyframes[edge[keyframes]] for edge in self.key_range)
+        # Frames of other drives, in other axes, come before and after.
+        return np.clip(np.searchsorted(self.arc, way), first, last)
+
+    @property
+    def aside(self) -> float:
+        """Distance of the views from aside to the keyframe, in the map's unit."""
+        return self.config.aside * self.correlation_length
 
     @property
     def speed(self) -> float:
@@ -366,8 +389,8 @@ def in_common_axes(visual_map: VisualMap) -> Floats:
     poses = visual_map.key_poses.copy()
     drives = visual_map.key_drives
     ones, others = visual_map.stitched.T
-    known = np.zeros(len(visual_map.goals), dtype=bool)
-    for first in range(len(visual_map.goals)):
+    known = np.zeros(visual_map.drive_count, dtype=bool)
+    for first in range(visual_map.drive_count):
         if known[first]:
             continue
         known[first] = True
@@ -388,11 +411,7 @@ def way_from(mapped: VisualMap, keyframe: int, offset: Floats, along: Floats) ->
     They are at distances `along` (s,) from the point where the drive passes the robot, and end with the drive.
     """
     key = mapped.keyframes[keyframe]
-    drive = mapped.drives[key]
-    first = np.searchsorted(mapped.drives, drive, "left")
-    end = np.searchsorted(mapped.drives, drive, "right")
-    ahead = np.searchsorted(mapped.arc, mapped.arc[key] + offset[0] + along)
-    target = np.clip(ahead, first, end - 1)
+    target = mapped.frames_along(keyframe, mapped.arc[key] + offset[0] + along)
     from_keyframe = seen_from(mapped.poses[target], mapped.poses[key])
     return seen_from(from_keyframe, offset)[:, :2]
 
@@ -442,8 +461,8 @@ def _ways_fit(mapped: VisualMap) -> dict[str, bool]:
 
 def _views_fit(mapped: VisualMap) -> dict[str, bool]:
     components = mapped.basis.shape[1]
-    looks = mapped.looks
-    count = len(mapped.keyframes) + len(looks)
+    variants = mapped.variants
+    count = len(mapped.keyframes) + len(variants)
     shape = (count, 3, TURNS_DEG.size, components)
     table = (SHARES.size, GRID.size)
     small = bool((np.abs(mapped.log_ratio) < 100.0).all())
@@ -453,8 +472,8 @@ def _views_fit(mapped: VisualMap) -> dict[str, bool]:
         "blank": mapped.blank.shape == (components,) and unit_length,
         "components": 0 < components <= len(mapped.basis) and _moderate(mapped.basis),
         "log_ratio": mapped.log_ratio.shape == table and small,
-        "looks": _within(looks, len(mapped.keyframes))
-        and bool((np.bincount(looks) < mapped.config.looks).all()),
+        "variants": _within(variants, len(mapped.keyframes))
+        and bool((np.bincount(variants) < mapped.config.most_variants).all()),
     }
 
 

@@ -52,7 +52,7 @@ class Model(Stored):
     def __repr__(self) -> str:
         """Return a summary without the arrays."""
         keyframes = len(self.mapped.keyframes)
-        drives = len(self.mapped.goals)
+        drives = self.mapped.drive_count
         modalities = "+".join(self.feature_settings.modalities)
         return f"Model({keyframes} keyframes of {drives} drives, {modalities})"
 
@@ -60,9 +60,9 @@ class Model(Stored):
         """Return the metadata and the arrays of the model file."""
         numbers, arrays = self.mapped.content()
         sights, cells = content_of_sights(self.sights)
-        words, ratios = content_of_words(self.words)
+        words = content_of_words(self.words)
         meta = self.feature_settings.content | {"map": numbers, "sights": sights, "words": words}
-        arrays |= cells | ratios | {"mean": self.centering.mean}
+        arrays |= cells | {"mean": self.centering.mean}
         if self.ground is not None:
             meta = meta | {"strange": self.ground.strange}
             arrays = arrays | {"ground": self.ground.colours}
@@ -73,7 +73,7 @@ class Model(Stored):
         """Build the model from the content of a file."""
         mean = arrays.pop("mean")
         sights = sights_of_content(meta["sights"], arrays)
-        words = words_of_content(meta["words"], arrays)
+        words = words_of_content(meta["words"])
         ground = None
         if "strange" in meta:
             ground = Ground(arrays.pop("ground"), meta["strange"])

@@ -181,7 +181,7 @@ class Particles:
         # Far aside of the views is like elsewhere. A robot that looks away from all taught views gets no evidence.
         aside = log_ratio[1:] - 2.0 * np.square(beyond)
         log_ratio[1:] = np.maximum(aside, likelihood.log_ratio[1:, :1])
-        log_ratio *= self.looks()
+        log_ratio *= self.facing()
         shown = self.shares[1:] / self.shares[1:].sum()
         self.speaks = float(shown @ np.exp(log_ratio[1:]) @ self.weights)
         joint = self.shares[:, None] * np.exp(seen.newness * log_ratio) * self.weights
@@ -195,8 +195,8 @@ class Particles:
             self.resampled(rng)
         return total
 
-    def looks(self) -> Floats:
-        """Return how far each particle looks at taught views, 0 to 1: less if it is turned beyond them, (p,)."""
+    def facing(self) -> Floats:
+        """Return how far each particle faces taught views, 0 to 1: less if it is turned beyond them, (p,)."""
         turned = np.abs(np.degrees(self.offsets()[:, 2])) / STEP_DEG
         steps = np.maximum(turned - TURNS_DEG.size / 2.0, 0.0)
         beyond = steps * math.radians(STEP_DEG) / self._map.apart_rad
@@ -239,7 +239,7 @@ class Particles:
             mixed = (1.0 - beside) * right + beside * left
             return np.asarray(mixed / _norm(beside, alike))
 
-        found = self._map.best_look(self.keyframes, between)
+        found = self._map.best_variant(self.keyframes, between)
         length = self._map.correlation_length
         far_aside = np.maximum(np.abs(offsets[:, 1]) - self._map.aside, 0.0)
         far_ahead = np.maximum(np.abs(offsets[:, 0]) - 0.5 * length, 0.0)

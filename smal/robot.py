@@ -18,12 +18,12 @@ from smal.movement import BY_ATOMS, BY_ODOMETRY, STANDS, STILL, Atom, Motion, Mo
 from smal.obstacles.clearance import Mount, Surroundings
 from smal.obstacles.strange import GROUND_CONFIG, swept
 from smal.particles import FILTER_CONFIG, FilterConfig
-from smal.planning import Decision, Planner, Said, chosen_goal
-from smal.sought.sight import TARGET_CONFIG, TargetConfig
+from smal.planning import Decision, Planner, Said
+from smal.sought.sight import TARGET_CONFIG
 from smal.sought.witness import Glimpse, Witness
 
 NO_GROUND = (
-    "the model does not know how the ground looks, which a robot that watches needs; learn it again"
+    "the model has no ground, so that unexpected ground cannot be detected; learn the model again"
 )
 
 
@@ -69,7 +69,6 @@ class Localizer:
     watches : bool
         Whether to detect unexpected ground.
     config : FilterConfig
-    target : TargetConfig
 
     Raises
     ------
@@ -84,7 +83,6 @@ class Localizer:
         goal: str | None = None,
         watches: bool = False,
         config: FilterConfig = FILTER_CONFIG,
-        target: TargetConfig = TARGET_CONFIG,
     ) -> None:
         if watches and model.ground is None:
             raise ValueError(NO_GROUND)
@@ -99,10 +97,10 @@ class Localizer:
             goal = mapped.goals[0]
         sight = model.sights.get(goal or "")
         word = model.words.get(goal or "")
-        self._witness = Witness(sight, word, target) if sight or word else None
+        self._witness = Witness(sight, word) if sight or word else None
         _, last = mapped.key_range
         to_end = (mapped.key_poses - mapped.key_poses[last])[:, :2]
-        near_end = np.hypot(*to_end.T) <= target.approach_s * mapped.speed
+        near_end = np.hypot(*to_end.T) <= TARGET_CONFIG.approach_s * mapped.speed
         self._near = (mapped.key_goals == goal) & near_end
         self.reset()
 
@@ -179,7 +177,7 @@ class Localizer:
             return Glimpse(0.0, 0.0)
         if picture is None:
             return Glimpse(0.0, 0.0)
-        return self._witness.look(picture, self._time_s, detected, place)
+        return self._witness.observe(picture, self._time_s, detected, place)
 
     def _before_end(self, belief: Belief, weights: Floats) -> tuple[float, float]:
         """Return the distance from the ends of drives, and its deviation, in seconds of driving."""
@@ -290,7 +288,7 @@ def surroundings(
         return before
     _, mount = depth
     around = before or Surroundings(mount.radius_m)
-    around.look(odometry, *depth, elapsed_s)
+    around.observe(odometry, *depth, elapsed_s)
     return around
 
 
@@ -321,7 +319,7 @@ class Robot:
         self, model: Model, goal: str | None = None, seed: int = 0, watches: bool = False
     ) -> None:
         self._map = model.mapped
-        goal = chosen_goal(model.mapped.goals, goal)
+        goal = model.mapped.chosen_goal(goal)
         self._localizer = Localizer(model, seed, goal, watches)
         self._planner = Planner(model.mapped, goal)
         self.reset()

@@ -109,7 +109,7 @@ def save_renewed(path: Path) -> Path:
     """Write `model` with a further look of a keyframe, as runs teach it: the keyframes are the same."""
     taught = model().mapped
     views = np.concatenate([taught.views, taught.views[5:6]])
-    replace(model(), mapped=replace(taught, views=views, looks=np.array([5], dtype=np.int32))).save(
-        path
-    )
+    replace(
+        model(), mapped=replace(taught, views=views, variants=np.array([5], dtype=np.int32))
+    ).save(path)
     return path

@@ -13,7 +13,7 @@ from services.experiments.words import remark
 from services.kit.errors import JobError, UsageError
 from services.recordings.dataset import Teacher
 from smal.model import Model
-from smal.teaching.living import Verdict, lived, whole_runs
+from smal.teaching.map_update import Verdict, update_map, whole_runs
 
 # Maximum number of earlier versions beside a model (NAME.smal.1, NAME.smal.2 …).
 _KEPT: Final = 10
@@ -75,7 +75,7 @@ def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]
     )
     runs = [run for run in every if run.goal in goals]
     try:
-        new, verdict = lived(model, runs, partial(bar, "following"))
+        new, verdict = update_map(model, runs, partial(bar, "following"))
     except ValueError as error:
         raise JobError(f"cannot learn from these runs: {error}") from None
     found: dict[str, Any] = {"runs": len(runs), "judged_by": len(runs[1::2])}
@@ -84,7 +84,7 @@ def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]
         save(new, path)
     remark([_words(verdict)])
     return found | {
-        "looks": len(new.mapped.looks),
+        "view_variants": len(new.mapped.variants),
         "gain": round(verdict.gain, 4),
         "least_gain": round(verdict.least, 4) if verdict.stretches > 1 else None,
         "false_goals": verdict.false_goals,

@@ -75,7 +75,7 @@ def _found(model: Model) -> dict[str, Any]:
     taught = model.mapped
     features = model.feature_settings
     found: dict[str, Any] = {
-        "drives": len(taught.goals),
+        "drives": taught.drive_count,
         "frames": len(taught.poses),
         "keyframes": len(taught.keyframes),
         "goals": ", ".join(sorted(set(taught.goals))),

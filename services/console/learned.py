@@ -17,7 +17,7 @@ from services.recordings.recorded import RecordedEpisode, episode_of, ticks_of
 from services.recordings.stream import RecordingError
 from smal.model import Model
 from smal.movement import placed
-from smal.planning import chosen_goal, cost_to_go
+from smal.planning import cost_to_go
 
 _NEAR_M = 2.0  # The weights within this distance on the same drive add up to the confidence.
 
@@ -92,9 +92,9 @@ def learned_of(model: Model, goal: str | None, recordings: dict[str, Path]) -> L
         The model does not have this goal.
     """
     mapped = model.mapped
-    goal = chosen_goal(mapped.goals, goal)
+    goal = mapped.chosen_goal(goal)
     drives = mapped.key_drives
-    first = np.searchsorted(mapped.drives, np.arange(len(mapped.goals)))
+    first = np.searchsorted(mapped.drives, np.arange(mapped.drive_count))
     poses = mapped.key_poses.copy()
     images: list[memoryview | None] = [None] * len(drives)
     worlds: set[str] = set()

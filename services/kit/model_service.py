@@ -26,7 +26,6 @@ from smal.files.container import ModelError, NoModelError, open_regular
 from smal.files.stored import Stored
 from smal.model import Model
 from smal.paper.model import PaperModel
-from smal.planning import chosen_goal
 
 # Hex digits of a checksum that identify a model.
 _DIGITS: Final = 16
@@ -81,7 +80,7 @@ def refused(
                 "for a stride use `smal paper learn`"
             )
         try:
-            chosen_goal(model.mapped.goals, goal)
+            model.mapped.chosen_goal(goal)
         except ValueError as error:
             return str(error)
     elif goal is not None:

@@ -196,7 +196,7 @@ class RecognitionService:
 
 
 def _same_keyframes(one: AnyModel, other: AnyModel) -> bool:
-    """Return whether two maps have the same keyframes, as after further teaching of looks."""
+    """Return whether two maps have the same keyframes, as after an update with view variants."""
     if not isinstance(one, Model) or not isinstance(other, Model):
         return False
     return np.array_equal(one.mapped.key_poses, other.mapped.key_poses)

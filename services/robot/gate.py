@@ -15,7 +15,7 @@ from threading import Lock
 from typing import Final, Literal
 
 from schemas.base import STANDING, Source, Velocity
-from schemas.command import Command, Reason, StopCause
+from schemas.command import Command, Limit, Reason, StopCause
 from schemas.heartbeat import Heartbeat
 from services.robot.body import Kinematics
 from services.robot.clock import ABSENT_S, SILENCE_S
@@ -390,12 +390,12 @@ def bounded(
     now_s: float,
     *,
     insists: bool = False,
-) -> tuple[Velocity, Reason]:
+) -> tuple[Velocity, Limit]:
     """Return the feasible, safe velocity nearest to a command, and its reason."""
     may = kinematics.bounded(asked)
     share = 1.0 if guard is None else guard.share(may, now_s)
     if guard is not None and share < abs(may.linear):
-        reason: Reason = "obstacle" if guard.sees(now_s) else "no_depth"
+        reason: Limit = "obstacle" if guard.sees(now_s) else "no_depth"
         if insists and share < INSISTED:
             reason = "insisted"
         # Slower along the same arc. If it must stop, a robot (but not a car) can still turn on the

@@ -84,7 +84,7 @@ class Guard:
         if captured_s - taken_s > MAX_LOOK_S:
             return
         elapsed_s = taken_s - self._known.taken_s
-        if not self._around.look(there, depth_m, self._mount, elapsed_s):
+        if not self._around.observe(there, depth_m, self._mount, elapsed_s):
             return
         known = _Known(self._around.snapshot(), taken_s)
         with self._lock:

@@ -25,7 +25,7 @@ class FeaturesError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Centering:
-    """Converts raw features to the columns of X and Y."""
+    """Centres and normalises raw features: rows of the map, columns of X and Y in `smal.paper`."""
 
     #: (m,) mean raw feature vector of the demonstrations.
     mean: Float32s

@@ -20,6 +20,7 @@ from scipy.sparse.csgraph import dijkstra
 from smal.arrays import Bools, Floats, Indices
 from smal.movement import wrapped
 from smal.obstacles.clearance import Surroundings
+from smal.obstacles.occupancy import GRID_CONFIG
 
 #: Extra cost of a metre without clearance, a correlation length beside the way, or over unknown
 #: ground.
@@ -39,7 +40,7 @@ class Turns(NamedTuple):
     known_m: float
 
 
-def way_round(
+def detour_turn(
     around: Surroundings, way: Floats, turns: Turns, error_rad: float, evades: bool
 ) -> float | None:
     """Return the turn to the left that leads around obstacles on a taught way; None to stop.
@@ -60,7 +61,7 @@ def way_round(
     aligned = abs(error_rad) < turns.turn_rad
     if far_m == math.inf and not (aligned and around.free_m(ahead=True) == 0.0):
         return error_rad
-    round_rad = turn_round(around, way, turns)
+    round_rad = best_turn(around, way, turns)
     # Nearer, an obstacle without a way around hides the taught views.
     near = far_m < around.reach_m / 2.0
     return round_rad if round_rad is not None or near else error_rad
@@ -73,7 +74,7 @@ def hit_m(around: Surroundings, way: Floats, margin_m: float) -> float:
     return float(hits[0] * around.cell_m / 2.0) if hits.size else math.inf
 
 
-def turn_round(around: Surroundings, way: Floats, turns: Turns) -> float | None:
+def best_turn(around: Surroundings, way: Floats, turns: Turns) -> float | None:
     """Return the turn to the left that leads around obstacles to a way (s, 2); None without any."""
     count = min(round(math.pi / turns.turn_rad), _TURNS)
     # The smaller of two equal turns comes first.
@@ -102,7 +103,7 @@ def _turns_back(
     side = len(around.clearance_m)
     start = np.ravel_multi_index(cells, around.clearance_m.shape)
     onwards = start
-    for _ in range(2 * around.config.cells_radius):
+    for _ in range(2 * GRID_CONFIG.cells_radius):
         onwards = following[onwards]
     x, y = np.divmod(start, side)
     to_x, to_y = np.divmod(onwards, side)

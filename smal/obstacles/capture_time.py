@@ -18,8 +18,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from smal.arrays import Float32s, Floats
 from smal.movement import placed, seen_from
-from smal.obstacles.clearance import Mount, above_ground
-from smal.obstacles.occupancy import GRID_CONFIG
+from smal.obstacles.clearance import Mount, above_ground, rays, thinned
 
 #: Longest delay among the hypotheses, seconds. A longer one counts as this: both are too old for driving.
 LONGEST_S: Final = 1.0
@@ -50,7 +49,7 @@ UNRELATED: Final = math.exp(-EVIDENCE / 4.0)
 QUEUES: Final = 0.4
 
 
-class Look(NamedTuple):
+class PastImage(NamedTuple):
     """An earlier image: its points above the ground (n, 3), ahead, left and up of the camera, and its pose."""
 
     points: Floats
@@ -68,7 +67,7 @@ class CaptureTime:
         #: Probability that a new image was taken at each of these.
         self._belief = np.empty(0)
         #: The newest last.
-        self._looks: deque[Look] = deque()
+        self._past: deque[PastImage] = deque()
         self._last: Float32s | None = None
         #: Time and pose of the last image.
         self._taken = -math.inf, np.zeros(3)
@@ -108,13 +107,12 @@ class CaptureTime:
 
     def _take(self, depth_m: Float32s, at_s: float) -> None:
         """Estimate the pose of a new image, and store its points."""
-        every = math.ceil(depth_m.shape[1] / GRID_CONFIG.depth_columns)
-        small_m = depth_m[every // 2 :: every, every // 2 :: every]
+        small_m, _ = thinned(depth_m)
         self._weigh(small_m)
         self._taken = self._track[self._best()]
-        self._looks.append(Look(_points(small_m, self._mount), self._taken[1], at_s))
-        while self._looks[0].at_s < at_s - LONGEST_S:
-            self._looks.popleft()
+        self._past.append(PastImage(_points(small_m, self._mount), self._taken[1], at_s))
+        while self._past[0].at_s < at_s - LONGEST_S:
+            self._past.popleft()
 
     def note(self, pose: Sequence[float], at_s: float) -> None:
         """Store the odometry pose at a time: x and y in metres, heading in radians, finite.
@@ -149,7 +147,7 @@ class CaptureTime:
     def _weigh(self, depth_m: Float32s) -> None:
         """Weigh the hypotheses by a new image."""
         poses = np.array([pose for _, pose in self._track])
-        if not self._looks or len(poses) == 1:
+        if not self._past or len(poses) == 1:
             return
         any_delay = np.full(len(poses), (1.0 - FRESH) / (len(poses) - 1))
         any_delay[0] = FRESH
@@ -157,7 +155,7 @@ class CaptureTime:
         if not any(_apart(pose, poses[0]) for pose in poses[1:]):
             return
         ranges = _ranges(depth_m, self._mount.focal)
-        costs = np.array([_cost(ranges, self._looks[0], pose, self._mount) for pose in poses])
+        costs = np.array([_cost(ranges, self._past[0], pose, self._mount) for pose in poses])
         if np.isfinite(costs).all():
             self._belief *= np.exp(-EVIDENCE * costs) + UNRELATED
             self._belief /= self._belief.sum()
@@ -173,16 +171,14 @@ def _points(depth_m: Float32s, mount: Mount) -> Floats:
     """Return points of an image above the ground, (n, 3): ahead, left and up of the camera."""
     rows, columns = depth_m.shape
     every = max(1, math.ceil(math.sqrt(rows * columns / POINTS)))
-    row, column = np.mgrid[every // 2 : rows : every, every // 2 : columns : every]
-    focal = mount.focal * columns
-    ahead = depth_m[row, column].astype(np.float64)
-    left = -(column + 0.5 - columns / 2.0) / focal
-    up = -(row + 0.5 - rows / 2.0) / focal
+    ahead = depth_m[every // 2 :: every, every // 2 :: every].astype(np.float64)
+    below, left = rays(depth_m.shape, every, mount.focal)
+    down, across = np.meshgrid(below, left, indexing="ij")
     stands = np.isfinite(ahead) & (ahead > 0.0)
-    height = mount.height_m + ahead[stands] * up[stands]
+    height = mount.height_m - ahead[stands] * down[stands]
     stands[stands] = above_ground(height, ahead[stands])
     ahead = ahead[stands]
-    return np.stack([ahead, ahead * left[stands], ahead * up[stands]], axis=1)
+    return np.stack([ahead, ahead * across[stands], -ahead * down[stands]], axis=1)
 
 
 def _ranges(depth_m: Float32s, focal: float) -> tuple[Floats, Floats]:
@@ -194,7 +190,7 @@ def _ranges(depth_m: Float32s, focal: float) -> tuple[Floats, Floats]:
     return np.where(valid, nearest, 0.0), np.where(valid, farthest, 0.0)
 
 
-def _cost(ranges: tuple[Floats, Floats], before: Look, pose: Floats, mount: Mount) -> float:
+def _cost(ranges: tuple[Floats, Floats], before: PastImage, pose: Floats, mount: Mount) -> float:
     """Return how far an image contradicts a pose, 0 to 1, by the points of an earlier image; NaN for too few points.
 
     Neighbouring pixels of a slanted surface have different depths. A prediction between these is no error.

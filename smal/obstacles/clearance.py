@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from smal.arrays import Bools, Float32s, Floats, Indices
-from smal.obstacles.occupancy import GRID_CONFIG, DepthLook, GridConfig, Occupancy
+from smal.obstacles.occupancy import GRID_CONFIG, CellEvidence, Occupancy
 
 
 class Mount(NamedTuple):
@@ -49,16 +49,16 @@ class Scan(NamedTuple):
     #: Fall of the lowest rays a metre: nearer objects can be below them.
     falls: float
 
-    def least_m(self, ahead_m: Floats, config: GridConfig) -> Floats:
+    def least_m(self, ahead_m: Floats) -> Floats:
         """Return the height above the ground from which on the image shows obstacles."""
         pixel = self.across[0] - self.across[1]
-        rises = config.ground_slope + (config.least_pixels - 1) * pixel
-        return np.asarray(config.ground_m + rises * ahead_m)
+        rises = GRID_CONFIG.ground_slope + (GRID_CONFIG.least_pixels - 1) * pixel
+        return np.asarray(GRID_CONFIG.ground_m + rises * ahead_m)
 
 
-def above_ground(up_m: Floats, ahead_m: Floats, config: GridConfig = GRID_CONFIG) -> Bools:
+def above_ground(up_m: Floats, ahead_m: Floats) -> Bools:
     """Return which points are above the ground, by their height over its plane and distance."""
-    return up_m > config.ground_m + config.ground_slope * ahead_m
+    return up_m > GRID_CONFIG.ground_m + GRID_CONFIG.ground_slope * ahead_m
 
 
 def rays(shape: tuple[int, ...], every: int, focal: float) -> tuple[Floats, Floats]:
@@ -77,63 +77,69 @@ def rays(shape: tuple[int, ...], every: int, focal: float) -> tuple[Floats, Floa
     return np.asarray(rows / focal_px), np.asarray(-columns / focal_px)
 
 
-def scan(depth_m: Float32s, mount: Mount, config: GridConfig = GRID_CONFIG) -> Scan | None:
+def thinned(depth_m: Float32s) -> tuple[Float32s, int]:
+    """Return some rows and columns of a depth image (h, w), and the step from each to the next."""
+    every = max(1, math.ceil(depth_m.shape[1] / GRID_CONFIG.depth_columns))
+    return depth_m[every // 2 :: every, every // 2 :: every], every
+
+
+def scan(depth_m: Float32s, mount: Mount) -> Scan | None:
     """Return the scan of a depth image (h, w) in metres (0 = missing).
 
     The mount gives the distance of the ground in the lowest rows of every column. A column shows
     that ground, or an obstacle before it. If most columns show neither, the camera is blind,
     differs from its mount, or is at an edge. The scan is then None.
     """
-    every = max(1, math.ceil(depth_m.shape[1] / config.depth_columns))
-    ahead = np.asarray(depth_m[every // 2 :: every, every // 2 :: every], dtype=np.float64)
-    if ahead.shape[0] < 2 * config.least_pixels or ahead.shape[1] < 2:
+    some_m, every = thinned(depth_m)
+    ahead = np.asarray(some_m, dtype=np.float64)
+    if ahead.shape[0] < 2 * GRID_CONFIG.least_pixels or ahead.shape[1] < 2:
         return None  # Too few rows to distinguish ground from obstacles.
     valid = np.isfinite(ahead) & (ahead > 0.0)
     ahead = np.where(valid, ahead, 0.0)
     below, across = rays(depth_m.shape, every, mount.focal)
     up = mount.height_m - ahead * below[:, None]
-    pitch, roll = _tilt(ahead, across, up, valid, config)
+    pitch, roll = _tilt(ahead, across, up, valid)
     up -= ahead * (pitch + roll * across)
     # An obstacle that hangs a little higher than the robot can hang lower beside its visible part.
-    thing = valid & above_ground(up, ahead, config) & (up < mount.top_m + mount.radius_m)
-    nearest = np.partition(np.where(thing, ahead, np.inf), config.least_pixels - 1, axis=0)
-    hit_m = nearest[config.least_pixels - 1]
+    thing = valid & above_ground(up, ahead) & (up < mount.top_m + mount.radius_m)
+    nearest = np.partition(np.where(thing, ahead, np.inf), GRID_CONFIG.least_pixels - 1, axis=0)
+    hit_m = nearest[GRID_CONFIG.least_pixels - 1]
     top_m = np.where(thing & (ahead < hit_m + mount.radius_m), up, 0.0).max(axis=0)
-    ground = valid & ~above_ground(np.abs(up), ahead, config)
-    free_m = np.minimum(_ground_m(ahead, ground, config), hit_m)
-    hides = _hides_ground(ahead, valid, below, config)
-    hides &= hit_m * (below[-2 * config.least_pixels] + pitch) <= mount.height_m
+    ground = valid & ~above_ground(np.abs(up), ahead)
+    free_m = np.minimum(_ground_m(ahead, ground), hit_m)
+    hides = _hides_ground(ahead, valid, below)
+    hides &= hit_m * (below[-2 * GRID_CONFIG.least_pixels] + pitch) <= mount.height_m
     free_m = np.where(hides, hit_m, free_m)
     shown = float(np.median(free_m)) > 0.0
     return Scan(across, free_m, hit_m, top_m, float(below[-1]) + pitch) if shown else None
 
 
-def _ground_m(ahead: Floats, ground: Bools, config: GridConfig) -> Floats:
+def _ground_m(ahead: Floats, ground: Bools) -> Floats:
     """Return the distance up to which each column shows ground; small gaps do not count."""
     gaps = np.cumsum(~ground[::-1], axis=0)[::-1]
-    goes_on = ground & (gaps < 2 * config.least_pixels)
+    goes_on = ground & (gaps < 2 * GRID_CONFIG.least_pixels)
     return np.asarray(np.where(goes_on, ahead, 0.0).max(axis=0))
 
 
-def _hides_ground(ahead: Floats, valid: Bools, below: Floats, config: GridConfig) -> Bools:
-    """Return the columns whose lowest rows show the face of an obstacle, at whatever height.
+def _hides_ground(ahead: Floats, valid: Bools, below: Floats) -> Bools:
+    """Return the columns whose lowest rows show the face of an obstacle, at any height.
 
     From row to row, a face does not recede as ground does. Up to a face the rays met nothing.
     """
-    upper = -2 * config.least_pixels
+    upper = -2 * GRID_CONFIG.least_pixels
     recedes = below[-1] / below[upper]
     face = ahead[upper] < ahead[-1] * (1.0 + recedes) / 2.0
     return np.asarray(face & valid[-1] & valid[upper])
 
 
-def _tilt(ahead: Floats, across: Floats, up: Floats, valid: Bools, config: GridConfig) -> Floats:
+def _tilt(ahead: Floats, across: Floats, up: Floats, valid: Bools) -> Floats:
     """Return the slope of the ground ahead and to the left, relative to the camera."""
     tilt = np.zeros(2)
-    most_tilt = math.tan(math.radians(config.tilt_deg))
+    most_tilt = math.tan(math.radians(GRID_CONFIG.tilt_deg))
     sides = np.broadcast_to(across, ahead.shape)
     for slope in (most_tilt, most_tilt / 3.0):
         off_m = np.abs(up - (tilt[0] + tilt[1] * across) * ahead)
-        flat = valid & (off_m < config.ground_m / 2.0 + slope * ahead)
+        flat = valid & (off_m < GRID_CONFIG.ground_m / 2.0 + slope * ahead)
         if flat.sum() < valid.size // 50:
             break
         # The error of a point grows with its distance.
@@ -159,25 +165,24 @@ class Surroundings:
     heading, moved_m
         Heading by the odometry, and distance of the last move.
     seen
-        Scan of the last look; None if it showed no ground.
+        Scan of the last image; None if it showed no ground.
     """
 
-    def __init__(self, radius_m: float, config: GridConfig = GRID_CONFIG) -> None:
-        self.config = config
+    def __init__(self, radius_m: float) -> None:
         self.radius_m = radius_m
-        self.cell_m = radius_m / config.cells_radius
-        self.reach_m = config.reach * radius_m
+        self.cell_m = radius_m / GRID_CONFIG.cells_radius
+        self.reach_m = GRID_CONFIG.reach * radius_m
         self.body_m = radius_m + self.cell_m
-        self._half = config.cells_radius * config.reach
+        self._half = GRID_CONFIG.cells_radius * GRID_CONFIG.reach
         offsets = np.arange(-self._half, self._half + 1) * self.cell_m
         #: Offset of each cell's middle from the middle of the robot's cell.
         self._x_m, self._y_m = np.meshgrid(offsets, offsets, indexing="ij")
-        self._grid = Occupancy(offsets.size, config)
+        self._grid = Occupancy(offsets.size)
         self._xy: tuple[float, float] | None = None
         self._cell: tuple[int, int] | None = None
         self.moved_m = 0.0
         self._rest = np.zeros(2)
-        self._mount: Mount | None = None  # Mount at the last look.
+        self._mount: Mount | None = None  # Mount at the last image.
         self.heading = 0.0
         self.seen: Scan | None = None
 
@@ -208,7 +213,7 @@ class Surroundings:
             if isinstance(value, cached_property):
                 self.__dict__.pop(name, None)
 
-    def look(
+    def observe(
         self,
         pose: Sequence[float],
         depth_m: Float32s | None,
@@ -217,34 +222,35 @@ class Surroundings:
     ) -> bool:
         """Move to the odometry pose, and add a depth image; return whether it contains a scan.
 
-        ``elapsed_s`` is the time since the look before, seconds; a longer gap counts as a second.
+        ``elapsed_s`` is the time since the image before, seconds; a longer gap counts as a second.
         """
         self.move(pose)
-        self.seen = None if depth_m is None else scan(depth_m, mount, self.config)
+        self.seen = None if depth_m is None else scan(depth_m, mount)
         if self.seen is None:
             return False
         self._mount = mount
-        ahead, left = self.seen_from(mount.ahead_m)
+        ahead, left = self.in_robot_axes(mount.ahead_m)
         column, inside = self._columns(self.seen, ahead, left)
         cells, hits = self._hits(self.seen, mount)
         top_m = np.zeros(ahead.shape)
         np.maximum.at(top_m, (cells[0][hits], cells[1][hits]), self.seen.top_m[hits])
         passed = inside & (ahead < self.seen.free_m[column] - self.cell_m / 2.0)
         lowest_m = mount.height_m - ahead * self.seen.falls
-        look = DepthLook(
+        evidence = CellEvidence(
             hit=top_m > 0.0,
             passed=passed,
             top_m=top_m,
             lowest_m=lowest_m,
-            least_m=np.maximum(self.seen.least_m(ahead, self.config), lowest_m),
+            least_m=np.maximum(self.seen.least_m(ahead), lowest_m),
             elapsed_s=min(max(elapsed_s, 0.0), 1.0),
         )
         # Next to the robot, where the camera does not look, people can stand still.
-        self._grid.add(look, self._beside_view, self.config.ground_m)
+        self._grid.add(evidence, self._beside_view)
         # A standing obstacle continues behind its face, about as far as the robot is wide.
         behind_m = ahead - self.seen.hit_m[column]
         hidden = inside & (behind_m > 0.0) & (behind_m < 2.0 * self.radius_m)
-        hidden &= self._grid.unknown & ~self._grid.come[cells][column]
+        new = self._grid.stood_less(GRID_CONFIG.stands_s)
+        hidden &= self._grid.unknown & ~new[cells][column]
         self._grid.assume(hidden, occupied=True, height_m=self.seen.top_m[column[hidden]])
         self._forget()
         return True
@@ -267,13 +273,13 @@ class Surroundings:
         """Cells beside the robot, nearer than the camera's view is as wide as the robot."""
         if self._mount is None:
             return np.zeros(self._x_m.shape, dtype=np.bool_)
-        ahead, left = self.seen_from(self._mount.ahead_m)
+        ahead, left = self.in_robot_axes(self._mount.ahead_m)
         widens = 2.0 * self._mount.focal
         near = self.away_m < self._mount.ahead_m + widens * self.radius_m
         # Half of a cell can lie out of view.
         return near & (widens * (np.abs(left) + self.cell_m / 2.0) > ahead)
 
-    def seen_from(self, ahead_m: float) -> tuple[Floats, Floats]:
+    def in_robot_axes(self, ahead_m: float) -> tuple[Floats, Floats]:
         """Return each cell's distance ahead and left of a place ahead of the robot's middle."""
         cos = math.cos(self.heading)
         sin = math.sin(self.heading)
@@ -293,7 +299,7 @@ class Surroundings:
     @cached_property
     def away_m(self) -> Floats:
         """Distance of each cell's middle from the robot's middle."""
-        return np.asarray(np.hypot(*self.seen_from(0.0)))
+        return np.asarray(np.hypot(*self.in_robot_axes(0.0)))
 
     @cached_property
     def occupied(self) -> Bools:
@@ -306,26 +312,26 @@ class Surroundings:
         return self._grid.unknown
 
     @cached_property
-    def come(self) -> Bools:
-        """Cells of obstacles that have come within the last seconds."""
-        return self._new(self.config.stands_s)
+    def new(self) -> Bools:
+        """Cells of obstacles that appeared in free space within the last seconds."""
+        return self._newer(GRID_CONFIG.stands_s)
 
     @cached_property
     def moving(self) -> Bools:
-        """Cells of obstacles that have come within the last moment."""
-        return self._new(self.config.moves_s)
+        """Cells of obstacles that appeared in free space within the last moment."""
+        return self._newer(GRID_CONFIG.moves_s)
 
-    def _new(self, time_s: float) -> Bools:
+    def _newer(self, time_s: float) -> Bools:
         """Return the cells occupied for less than a time, without edges of older obstacles."""
-        edge_m = self.config.ground_m + self.config.ground_slope * self.reach_m
+        edge_m = GRID_CONFIG.ground_m + GRID_CONFIG.ground_slope * self.reach_m
         edge = math.ceil(edge_m / self.cell_m)
         return self._grid.stood_less(time_s) & ~binary_dilation(
             self._grid.stood(time_s), iterations=edge
         )
 
-    def has_come(self, turn_rad: float) -> bool:
-        """Return whether the nearest obstacle in a direction, to the left of ahead, has come."""
-        ahead, left = self.seen_from(0.0)
+    def is_new(self, turn_rad: float) -> bool:
+        """Return whether the nearest obstacle in a direction, to the left of ahead, is new."""
+        ahead, left = self.in_robot_axes(0.0)
         along = ahead * math.cos(turn_rad) + left * math.sin(turn_rad)
         aside = left * math.cos(turn_rad) - ahead * math.sin(turn_rad)
         # As wide as a cell, and seen from a camera that is not in the middle.
@@ -333,30 +339,30 @@ class Surroundings:
         if not there.any():
             return False
         face = there & (along < along[there].min() + self.radius_m)
-        return bool(self.come[face].mean() > 0.5)
+        return bool(self.new[face].mean() > 0.5)
 
     @property
     def moving_rad(self) -> float:
         """Direction to the nearest moving obstacle, to the left of ahead; 0 without any."""
         if not self.moving.any():
             return 0.0
-        ahead, left = self.seen_from(0.0)
+        ahead, left = self.in_robot_axes(0.0)
         nearest = np.where(self.moving, self.away_m, math.inf).argmin()
         return math.atan2(left.flat[nearest], ahead.flat[nearest])
 
     @property
     def crowded(self) -> bool:
-        """Whether an obstacle that has come, ahead or to a side, is too near."""
-        return self._room_m(self.come, self.seen_from(0.0)[0]) < 0.0
+        """Whether a new obstacle, ahead or to a side, is too near."""
+        return self._room_m(self.new, self.in_robot_axes(0.0)[0]) < 0.0
 
     def _room_m(self, people: Bools, ahead: Floats) -> float:
         """Return the free distance to people, ahead or to a side."""
         near_m = self.away_m[people & (ahead > 0.0)].min(initial=math.inf)
-        return float(near_m) - self.body_m - self.config.walks_m
+        return float(near_m) - self.body_m - GRID_CONFIG.walks_m
 
     def things(self, most: int) -> Floats:
         """Return the places of obstacles, at most `most` of them: (n, 2) metres ahead and left."""
-        places = np.stack(self.seen_from(0.0), axis=-1)[self.occupied]
+        places = np.stack(self.in_robot_axes(0.0), axis=-1)[self.occupied]
         return places[:: -(-len(places) // most) or 1]
 
     @cached_property
@@ -373,7 +379,7 @@ class Surroundings:
 
     def clear_m(self, turns_rad: Floats) -> Floats:
         """Return the free distance (k,) straight on after turns (k,) to the left."""
-        ahead, left = (side[self.occupied] for side in self.seen_from(0.0))
+        ahead, left = (side[self.occupied] for side in self.in_robot_axes(0.0))
         cos = np.cos(turns_rad)[:, None]
         sin = np.sin(turns_rad)[:, None]
         along = cos * ahead + sin * left
@@ -390,7 +396,7 @@ class Surroundings:
         It drives in a circle of radius 1 / `bend` (1 / m) with its middle to the left, if positive.
         Moving obstacles, ahead or to a side, can come nearer until the robot stands.
         """
-        along, left = self.seen_from(0.0)
+        along, left = self.in_robot_axes(0.0)
         along = along if ahead else -along
         room_m = self._room_m(self.moving, along)
         bend = math.copysign(max(abs(bend), _STRAIGHT), bend)

@@ -1,7 +1,7 @@
-"""Log-odds occupancy grid (Moravec and Elfes 1985) that distinguishes what has come.
+"""Log-odds occupancy grid (Moravec and Elfes 1985) that distinguishes new obstacles.
 
-An obstacle has come if its cell was free some seconds before. Free evidence holds down to the
-height that the camera showed at that distance: a low obstacle that comes into view has not come.
+An obstacle is new if its cell was free some seconds before. Free evidence holds down to the
+height that the camera showed at that distance: a low obstacle that comes into view is not new.
 """
 
 import math
@@ -27,13 +27,13 @@ class GridConfig:
     tilt_deg: float = 5.0
     #: Minimum pixels of an obstacle in a column: fewer are noise.
     least_pixels: int = 3
-    #: Probability that a look hits an occupied cell, and that it passes through a free cell.
+    #: Probability that an image hits an occupied cell, and that it passes through a free cell.
     p_hit: float = 0.7
-    #: Maximum probability of a cell: five looks through the cell disprove an obstacle.
+    #: Maximum probability of a cell: five images through the cell disprove an obstacle.
     p_max: float = 0.97
-    #: Half-life of the evidence for an obstacle that has come and is out of view, seconds.
+    #: Half-life of the evidence for a new obstacle that is out of view, seconds.
     forgets_s: float = 1.0
-    #: An obstacle counts as moving for this time, and as come for this time, seconds. People stand
+    #: An obstacle counts as moving for this time, and as new for this time, seconds. People stand
     #: for seconds, and step back when the robot does.
     moves_s: float = 0.5
     stands_s: float = 10.0
@@ -47,10 +47,13 @@ class GridConfig:
 
 
 GRID_CONFIG: Final = GridConfig()
+#: Log-odds of one hit, and of the maximum probability.
+_HIT: Final = math.log(GRID_CONFIG.p_hit / (1.0 - GRID_CONFIG.p_hit))
+_MOST: Final = math.log(GRID_CONFIG.p_max / (1.0 - GRID_CONFIG.p_max))
 
 
 @dataclass(frozen=True)
-class DepthLook:
+class CellEvidence:
     """Evidence of one depth image for each cell (n, n).
 
     Attributes
@@ -64,7 +67,7 @@ class DepthLook:
     least_m
         Height from which on the image certainly shows obstacles in the cell.
     elapsed_s
-        Time since the look before, seconds.
+        Time since the image before, seconds.
     """
 
     hit: Bools
@@ -78,13 +81,10 @@ class DepthLook:
 class Occupancy:
     """Square grid (n, n) of log-odds, 0 for unknown cells."""
 
-    def __init__(self, side: int, config: GridConfig = GRID_CONFIG) -> None:
-        self._config = config
-        self._hit = math.log(config.p_hit / (1.0 - config.p_hit))
-        self._most = math.log(config.p_max / (1.0 - config.p_max))
+    def __init__(self, side: int) -> None:
         self._log_odds = np.zeros((side, side))
         #: Time for which an obstacle was seen since the cell was free; infinite if it never was, and
-        #: not a number if looks over the obstacle cannot have shown it.
+        #: not a number if images over the obstacle cannot have shown it.
         self._stands_s = np.full((side, side), np.inf)
         #: Top of an occupied cell. In other cells, obstacles below this height are possible.
         self._height_m = np.full((side, side), np.inf)
@@ -98,11 +98,6 @@ class Occupancy:
     def unknown(self) -> Bools:
         """Cells that were never seen."""
         return np.asarray(self._log_odds == 0.0)
-
-    @property
-    def come(self) -> Bools:
-        """Cells of obstacles that were free some seconds before."""
-        return self.stood_less(self._config.stands_s)
 
     def stood_less(self, time_s: float) -> Bools:
         """Return the cells of obstacles that were free, and have stood for less than a time."""
@@ -119,46 +114,44 @@ class Occupancy:
         self._height_m = _shifted(self._height_m, cells, np.inf)
 
     def assume(self, cells: Bools, occupied: bool, height_m: Floats | float) -> None:
-        """Set cells to the evidence of one look."""
-        self._log_odds[cells] = self._hit if occupied else -self._hit
+        """Set cells to the evidence of one image."""
+        self._log_odds[cells] = _HIT if occupied else -_HIT
         self._stands_s[cells] = np.inf if occupied else 0.0
         self._height_m[cells] = height_m
 
-    def add(self, look: DepthLook, stays: Bools, tolerance_m: float) -> None:
-        """Add a look; the cells ``stays`` forget no obstacle that has come.
-
-        ``tolerance_m`` is the tolerance of heights.
-        """
+    def add(self, seen: CellEvidence, stays: Bools) -> None:
+        """Add the evidence of an image; the cells ``stays`` forget no new obstacle."""
         before = self.occupied
-        # A look over an obstacle does not disprove it.
-        passed = look.passed & ~look.hit & ~(before & (self._height_m <= look.lowest_m))
-        # Looks from further away cannot have shown a low obstacle.
+        # An image over an obstacle does not disprove it.
+        passed = seen.passed & ~seen.hit & ~(before & (self._height_m <= seen.lowest_m))
+        # Images from further away cannot have shown a low obstacle.
         free = self._log_odds < 0.0
-        low = look.hit & free & (look.top_m <= self._height_m + tolerance_m)
+        low = seen.hit & free & (seen.top_m <= self._height_m + GRID_CONFIG.ground_m)
         self._stands_s[low] = np.nan
-        self._forget(self.come & ~look.hit & ~stays, look.elapsed_s)
-        # A hit makes every cell occupied: one look can save a person.
-        hit = np.minimum(np.maximum(self._log_odds, 0.0) + self._hit, self._most)
-        miss = np.maximum(self._log_odds - self._hit, -self._hit)
-        self._log_odds = np.where(look.hit, hit, np.where(passed, miss, self._log_odds))
-        self._learn_heights(look, passed, before)
-        self._stands_s = np.where(look.hit, self._stands_s + look.elapsed_s, self._stands_s)
+        new = self.stood_less(GRID_CONFIG.stands_s)
+        self._forget(new & ~seen.hit & ~stays, seen.elapsed_s)
+        # A hit makes every cell occupied: one image can save a person.
+        hit = np.minimum(np.maximum(self._log_odds, 0.0) + _HIT, _MOST)
+        miss = np.maximum(self._log_odds - _HIT, -_HIT)
+        self._log_odds = np.where(seen.hit, hit, np.where(passed, miss, self._log_odds))
+        self._learn_heights(seen, passed, before)
+        self._stands_s = np.where(seen.hit, self._stands_s + seen.elapsed_s, self._stands_s)
         self._stands_s[self._log_odds < 0.0] = 0.0
 
     def _forget(self, cells: Bools, elapsed_s: float) -> None:
-        self._log_odds[cells] *= 0.5 ** (elapsed_s / self._config.forgets_s)
-        # Out of view, what has left and what stands there are alike: the cell is unknown, not free.
-        gone = cells & (self._log_odds < self._hit / 2.0)
+        self._log_odds[cells] *= 0.5 ** (elapsed_s / GRID_CONFIG.forgets_s)
+        # Out of view, the obstacle can have left or can stand there: the cell is unknown, not free.
+        gone = cells & (self._log_odds < _HIT / 2.0)
         self._log_odds[gone] = 0.0
         self._stands_s[gone] = np.inf
         self._height_m[gone] = np.inf
 
-    def _learn_heights(self, look: DepthLook, passed: Bools, before: Bools) -> None:
+    def _learn_heights(self, seen: CellEvidence, passed: Bools, before: Bools) -> None:
         now = self.occupied
         top_m = np.where(before, self._height_m, 0.0)
         free_m = np.where(before, np.inf, self._height_m)
-        top_m = np.where(look.hit, np.maximum(top_m, look.top_m), top_m)
-        free_m = np.where(passed, np.minimum(free_m, look.least_m), free_m)
+        top_m = np.where(seen.hit, np.maximum(top_m, seen.top_m), top_m)
+        free_m = np.where(passed, np.minimum(free_m, seen.least_m), free_m)
         self._height_m = np.where(now, top_m, free_m)
 
 

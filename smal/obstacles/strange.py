@@ -15,8 +15,8 @@ import numpy as np
 
 from smal.arrays import Float32s, Floats, Indices, Uint8s
 from smal.camera import Camera, Image
+from smal.features.cells import cells_of
 from smal.features.resizing import SHAPE
-from smal.sought.sight import cells_of
 
 #: First row with ground; higher rows are too far away.
 _HORIZON: Final = SHAPE[0] // 2 + 3

@@ -3,18 +3,16 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Final
 
 from smal.features import Centering, FeatureSettings
 from smal.paper.action_space import learn_action_space
 from smal.paper.model import PaperModel
 from smal.paper.policy import check_discount, policy_iteration
 from smal.paper.reward import learn_reward
+from smal.paper.state_matching import usual_lambda
 from smal.paper.state_space import learn_state_space
 from smal.paper.transitions import learn_transitions
 from smal.teaching.demonstration import Demonstration, check_features
-
-LAMBDA_SCALE: Final = 0.1
 
 
 @dataclass(frozen=True)
@@ -26,8 +24,7 @@ class LearningSettings:
     sequence_length
         l, frames in a sequence and atoms in an action.
     lambda1, lambda2
-        Weights of Eq. 7, by default 0.1 sqrt(l): an active row or column of W has about l entries, so that its norm
-        grows with sqrt(l).
+        Weights of Eq. 7, by default `usual_lambda`.
     tau
         Threshold of Eq. 8, per query frame. A sequence without a match of more weight is a new state.
     gamma
@@ -58,7 +55,7 @@ class LearningSettings:
     @property
     def lambdas(self) -> tuple[float, float]:
         """lambda1 and lambda2 of Eq. 7."""
-        default = LAMBDA_SCALE * math.sqrt(self.sequence_length)
+        default = usual_lambda(self.sequence_length)
         return self.lambda1 or default, self.lambda2 or default
 
 

@@ -7,6 +7,7 @@ solution, as Eq. 14 to 17 prove the limit of Algorithm 2 (steps Eq. 10 to 12). A
 `tests/benchmarks/recognition`.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -63,6 +64,11 @@ class Solution:
         """The template sequence with the largest weight (Eq. 9); None if W is zero."""
         weights = self.block_weights
         return int(self.active_blocks[np.argmax(weights)]) if weights.size else None
+
+
+def usual_lambda(length: int) -> float:
+    """Return the usual lambda1 and lambda2, 0.1 sqrt(l): an active row or column of W has about l entries."""
+    return 0.1 * math.sqrt(length)
 
 
 def solve(

@@ -69,7 +69,7 @@ class Chain:
         before[-1] = (1.0 - _RETURNS) * none + _RETURNS * mean
         return before
 
-    def seen(self, belief: Float32s, ratios: Float32s) -> Float32s:
+    def weighed(self, belief: Float32s, ratios: Float32s) -> Float32s:
         """Weigh a belief by the likelihood ratios of a query, and scale it to a sum of 1."""
         weighed = belief.copy()
         weighed[:-1].reshape(self._shape)[:] *= ratios
@@ -121,9 +121,9 @@ def smoothed(
     def forward(belief: Float32s, rows: Float32s) -> list[Float32s]:
         """Return the beliefs at some queries, from the predicted belief at the first."""
         still_wanted()
-        found = [chain.seen(belief, rows[0])]
+        found = [chain.weighed(belief, rows[0])]
         for row in rows[1:]:
-            found.append(chain.seen(chain.ahead(found[-1]), row))
+            found.append(chain.weighed(chain.ahead(found[-1]), row))
         return found
 
     before = [chain.first()]
@@ -136,4 +136,4 @@ def smoothed(
         rows = ratios(seen[number * block : (number + 1) * block])
         for place, belief in reversed(list(enumerate(forward(before[number], rows)))):
             yield start + place, *chain.at_references(belief * message)
-            message = chain.back(chain.seen(message, rows[place]))
+            message = chain.back(chain.weighed(message, rows[place]))

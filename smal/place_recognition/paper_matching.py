@@ -1,14 +1,9 @@
 """The paper's matching on two traverses: Eq. 7 at fixed phases, and Eq. 9; with l = 1 it is the paper's baseline."""
 
-import math
-from typing import Final
-
 from smal.arrays import Float32s
 from smal.paper.phase import matched_phase
-from smal.paper.state_matching import solve
+from smal.paper.state_matching import solve, usual_lambda
 from smal.place_recognition.matches import Matches, Progress, check_features, ignore
-
-LAMBDA_SCALE: Final = 0.1  # a in lambda1 = lambda2 = a sqrt(l), as in learning.
 
 
 def match_as_in_the_paper(
@@ -17,7 +12,7 @@ def match_as_in_the_paper(
     length: int,
     progress: Progress = ignore,
 ) -> Matches:
-    """Match the l frames that end with each query by Eq. 7, with lambda1 = lambda2 = a sqrt(l).
+    """Match the l frames that end with each query by Eq. 7, with `usual_lambda`.
 
     References (n, m) and queries (q, m) are centred by the mean of the references, of which whole sequences are used.
     There is no match for the first l-1 queries, if W = 0, or if n < l. The reference is the frame of the best sequence
@@ -28,7 +23,7 @@ def match_as_in_the_paper(
     whole = len(references) // length * length
     matches = Matches.none(total)
     templates = references[:whole].T
-    penalty = LAMBDA_SCALE * math.sqrt(length)
+    penalty = usual_lambda(length)
     for query in range(length - 1, total if whole else 0):
         window = queries[query - length + 1 : query + 1].T
         solution = solve(templates, window, length, penalty, penalty, tolerance=1e-3)

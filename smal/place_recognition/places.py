@@ -297,7 +297,7 @@ def _followed(
     def oldest() -> Best:
         message = np.ones_like(belief)
         for _, _, ratios in list(recent)[:0:-1]:
-            message = chain.back(chain.seen(message, ratios))
+            message = chain.back(chain.weighed(message, ratios))
         query, then, _ = recent.popleft()
         progress(int(frames[query]) + 1)
         return places.best(*chain.at_references(then * message))
@@ -306,12 +306,13 @@ def _followed(
     belief = chain.first()
     rows = chain_of.from_iterable(map(places.levels, part(0, len(frames)).blocks()))
     for query, row in enumerate(rows):
+        # Learned anew when the number of queries has doubled: at powers of two.
         if query.bit_count() == 1:
             evidence = _learned(chain, [places.levels(one) for one in _stretches(part, query)])
         while recent and frames[query] - frames[recent[0][0]] > lag:
             yield oldest()
         ratios = evidence.of(row)
-        belief = chain.seen(chain.ahead(belief) if query else belief, ratios)
+        belief = chain.weighed(chain.ahead(belief) if query else belief, ratios)
         recent.append((query, belief, ratios))
     while recent:
         yield oldest()

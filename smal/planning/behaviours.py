@@ -16,7 +16,7 @@ from smal.arrays import Floats
 from smal.filter import Belief
 from smal.map import VisualMap, in_common_axes
 from smal.movement import STANDS, Motion
-from smal.obstacles.avoidance import Turns, way_round
+from smal.obstacles.avoidance import Turns, detour_turn
 from smal.obstacles.clearance import Surroundings
 from smal.planning.route import Route
 from smal.planning.steering import Chassis, Intent, Kind
@@ -39,6 +39,8 @@ class Situation:
         Direction (p,) to each particle's aim, and its weight (p,); 0 without a way to the goal.
     heading_rad, underway_rad
         Mean direction; and turn by the last decision until the new decision moves the robot.
+    has_way
+        Whether a taught way leads to the goal from the robot's probable place.
     clear
         Whether the directions agree and the robot is not lost.
     at_goal, at_end
@@ -65,7 +67,7 @@ class Situation:
     at_goal: float
     at_end: bool
     unseen: bool
-    supported: bool = True
+    supported: bool
 
     @property
     def lost(self) -> bool:
@@ -222,7 +224,7 @@ class Search(Behaviour):
         # An obstacle that appeared in free space can resemble the target, and can hide it.
         self._came_s = max(self._came_s - now.elapsed_s, 0.0)
         target_rad = self._target_rad(now)
-        if now.around and target_rad is not None and now.around.has_come(target_rad):
+        if now.around and target_rad is not None and now.around.is_new(target_rad):
             self._came_s = self._config.moment_s
 
     @property
@@ -299,7 +301,7 @@ class Search(Behaviour):
 
     def _arrive(self, belief: Belief) -> None:
         self.arrived = True
-        distance = 2.0 * self._config.goal_s * self._taught.speed
+        distance = self._config.found_s * self._taught.speed
         self._ends = self._mission.route.ends_near(belief, distance)
         self._neared_s = 0.0
         self._searched_s = 0.0
@@ -493,14 +495,14 @@ class Wait(Behaviour):
         way = self._mission.route.way_ahead(belief, self._chassis.lookahead, around.reach_m)
         step_m = self._chassis.speed * taught.tick_s
         turns = Turns(taught.turn_rad, step_m, taught.correlation_length)
-        round_rad = way_round(around, way, turns, heading_rad, self._evades)
+        round_rad = detour_turn(around, way, turns, heading_rad, self._evades)
         self._evades = round_rad != heading_rad
         return round_rad
 
     def _before_strange_ground(self, intent: Intent, now: Situation) -> Intent:
         """Slow down and stop before unexpected ground, except on the way to a visible target."""
         ahead = intent.kind != "search" if intent.motion is None else intent.motion[0] > 0.0
-        target_visible = now.seen is not None and now.seen.probability > 0.5
+        target_visible = now.seen is not None and now.seen.probability > self._config.likely
         if not ahead or target_visible:
             return intent
         if now.strange < self._config.stops_s * self._chassis.speed:

@@ -34,8 +34,8 @@ class PlannerConfig:
     go_over_s: float = 2.0
     #: Probability of being near the goal that counts as arrived.
     arrived: float = 0.99
-    #: Distance that counts as near the goal: half of the usual distance of "found".
-    goal_s: float = 1.25
+    #: Usual distance of "found" from the goal.
+    found_s: float = 2.5
     #: Way, in correlation lengths, that must have been tracked to arrive without looking around: a few views can match
     #: another place.
     tracked: float = 2.0
@@ -56,10 +56,17 @@ class PlannerConfig:
     as_near: float = 1.3
     #: Probability from which the target counts as in view, as in learning.
     in_view: float = TARGET_CONFIG.sure
+    #: Probability from which unexpected ground ahead counts as the target: more likely than not.
+    likely: float = 0.5
     #: Time, by the clock, for which a new obstacle in the direction of the target counts, as for views of it.
     moment_s: float = TARGET_CONFIG.moment_s
     #: Time, by the clock, after which a robot without a decision stands.
     stands_after_s: float = 0.5
+
+    @property
+    def goal_s(self) -> float:
+        """Distance that counts as near the goal: half of the usual distance of "found"."""
+        return self.found_s / 2.0
 
     @property
     def look_rad(self) -> float:

@@ -5,7 +5,7 @@ computes for every keyframe the time to the nearest goal and the drive to follow
 never driven in one piece, and a belief that is spread over several drives has one aim.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from scipy import sparse
@@ -14,16 +14,6 @@ from scipy.sparse.csgraph import dijkstra
 from smal.arrays import Bools, Floats, Indices
 from smal.map import VisualMap
 from smal.planning.config import PLANNER_CONFIG
-
-
-def chosen_goal(goals: Sequence[str], goal: str | None) -> str:
-    """Return the goal, or the only goal of the model; ValueError if it is not found or ambiguous."""
-    known = sorted(set(goals))
-    if goal is None and len(known) > 1:
-        raise ValueError(f"the model has the goals {', '.join(known)}; name one of them")
-    if goal is not None and goal not in known:
-        raise ValueError(f"the model has no goal {goal!r}; it has {', '.join(known)}")
-    return known[0] if goal is None else goal
 
 
 def cost_to_go(

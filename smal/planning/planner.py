@@ -29,7 +29,6 @@ from smal.planning.behaviours import (
     Wait,
 )
 from smal.planning.config import PLANNER_CONFIG, PlannerConfig
-from smal.planning.cost_to_go import chosen_goal
 from smal.planning.route import Route
 from smal.planning.steering import Chassis, Kind, Steering
 from smal.sought.witness import Glimpse
@@ -42,11 +41,14 @@ class Decision:
     Attributes
     ----------
     kind
-        "follow": drive along the taught way. "look_around": turn, because directions disagree. "guess": drive in the
-        mean direction, because looking around has not helped. "dead_end": stand, because no taught way leads on to the
-        goal. "blocked": wait before an obstacle without a way round. "search": at the end of the way, turn to find the
-        target, or approach it. "goal": stand after announcing the result. "blind": stand, because no view has
-        supported the robot's place for too long.
+        "follow": drive along the taught way. "look_around": turn to find the place, because
+        directions disagree, no view supports the place, the robot is at the end of the way, or its
+        wheels stall. "guess": drive in the mean direction, because looking around has not helped.
+        "dead_end": stand, because no taught way leads on to the goal. "blocked": wait before an
+        obstacle, turn to keep it in view, or back off; also back off after the wheels stalled.
+        "search": at the end of the way, turn to find the target, or approach it. "goal": stand
+        after announcing the result. "blind": stand, because no view has supported the robot's place
+        for too long.
     heading_rad
         Direction to drive in, from the robot's heading, positive to the left.
     motion
@@ -66,7 +68,7 @@ class Planner:
     visual_map
         The taught map.
     goal
-        Goal of the robot. It can be omitted if all drives lead to the same goal (`chosen_goal`).
+        Goal of the robot. It can be omitted if all drives lead to the same goal (`VisualMap.chosen_goal`).
     config
         Parameters of the planner.
     """
@@ -78,7 +80,7 @@ class Planner:
         self._config = config
         self._chassis = Chassis.of(visual_map, config)
         self._steering = Steering(self._chassis, visual_map.tick_s)
-        self._route = Route.plan(visual_map, chosen_goal(visual_map.goals, goal), config.go_over_s)
+        self._route = Route.plan(visual_map, visual_map.chosen_goal(goal), config.go_over_s)
         self.reset()
 
     def reset(self) -> None:
@@ -104,11 +106,6 @@ class Planner:
     def said(self) -> Said | None:
         """Announced result of the search; None while the robot is under way."""
         return self._mission.said
-
-    @property
-    def route(self) -> Route:
-        """The current route."""
-        return self._mission.route
 
     def decide(
         self,
@@ -188,7 +185,7 @@ class Planner:
             doing=self._doing,
             motion=self._steering.motion,
             directions=directions,
-            weights=weights + 1e-9,
+            weights=weights,
             heading_rad=math.atan2(mean.imag, mean.real),
             underway_rad=self._steering.underway_rad(delay_s),
             has_way=has_way,

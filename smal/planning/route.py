@@ -93,24 +93,20 @@ class Route:
         taught = self.taught
         guide = self.guide[belief.keyframes]
         key = taught.keyframes[guide]
-        drive = taught.key_drives[guide]
+        last = taught.keyframes[taught.key_range[1][guide]]
         ahead, left, turned = placed(belief.offsets, self.offset[belief.keyframes]).T
         along = taught.arc[key] + ahead
-        start = np.searchsorted(taught.drives, drive, "left")
-        end = np.searchsorted(taught.drives, drive, "right")
-        # Frames of other drives, in other axes, come before and after.
-        ahead_of = np.searchsorted(taught.arc, along + lookahead)
-        target = np.clip(ahead_of, start, end - 1)
+        target = taught.frames_along(guide, along + lookahead)
         pose = taught.poses[key]
         aim_ahead, aim_left, aim_turned = seen_from(taught.poses[target], pose).T
         x = aim_ahead - ahead
         y = aim_left - left
         near = np.hypot(x, y) < _NEAR_AIM * lookahead
         direction = np.where(near, aim_turned, np.arctan2(y, x))
-        last_ahead, last_left, _ = seen_from(taught.poses[end - 1], pose).T
+        last_ahead, last_left, _ = seen_from(taught.poses[last], pose).T
         return Aims(
             directions=wrapped(direction - turned),
-            left_to_go=taught.arc[end - 1] - along,
+            left_to_go=taught.arc[last] - along,
             to_end=np.hypot(last_ahead - ahead, last_left - left),
         )
 
@@ -178,7 +174,7 @@ def _guides(taught: VisualMap, to_go_s: Floats, following: Indices) -> tuple[Ind
 
 def _connected(taught: VisualMap) -> Int32s:
     """Return the group of each drive (d,); drives of one group are linked by shared places."""
-    count = len(taught.goals)
+    count = taught.drive_count
     one, other = taught.key_drives[taught.stitched].T
     links = sparse.csr_array((np.ones(one.size), (one, other)), shape=(count, count))
     _, group = connected_components(links, directed=False)

@@ -27,7 +27,7 @@ class Intent:
     Attributes
     ----------
     kind
-        Name of the behaviour, as in `smal.planning.Decision`.
+        Reported kind, as in `smal.planning.Decision`.
     motion
         Motion to execute; None to drive.
     heading_rad
@@ -86,8 +86,9 @@ class Chassis(NamedTuple):
         """Return the motion with the least expected cost for particles with directions (p,) and weights (p,).
 
         The aims lie ahead of the robot's pose at the start of this motion, also beyond the end of the way. With nearer
-        aims, full speed leads too far.
+        aims, full speed leads too far. If all weights are 0, all directions count alike.
         """
+        weights = weights + 1e-9
         lookahead_s = self.config.lookahead_s
         away = self.speed * (lookahead_s + delay_s * abs(last[0]))
         aims = np.stack(

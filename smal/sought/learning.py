@@ -13,24 +13,15 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smal.arrays import Bools, Float32s, Floats, Int32s
+from smal.arrays import Bools, Float32s, Floats, Int32s, evenly
 from smal.camera import Image
+from smal.features.cells import NUMBERS, cells_of, nearest
 from smal.features.detectors import Detection
 from smal.features.extraction import in_parallel
 from smal.features.resizing import SHAPE
-from smal.likelihood import evenly
 from smal.sought.distance import Distance
 from smal.sought.evidence import ScoreEvidence
-from smal.sought.sight import (
-    NUMBERS,
-    SIZES,
-    TARGET_CONFIG,
-    Compared,
-    Sight,
-    TargetConfig,
-    cells_of,
-    nearest,
-)
+from smal.sought.sight import SIZES, TARGET_CONFIG, Compared, Sight
 from smal.sought.word import Word, area, best
 
 #: Left, top, right, bottom: shares of a view's width and height.
@@ -55,10 +46,10 @@ class Taught:
     #: Detections in each keyframe; empty without detectors.
     detected: Sequence[Sequence[Detection]] = ()
 
-    def approach(self, config: TargetConfig) -> range:
+    def approach(self) -> range:
         """Return the views of the approach: the last seconds, at most the last third."""
         count = len(self.pictures)
-        within = int((self.left_s <= config.approach_s).sum()) if self.ends else 0
+        within = int((self.left_s <= TARGET_CONFIG.approach_s).sum()) if self.ends else 0
         return range(count - min(within, count // 3), count)
 
 
@@ -78,20 +69,20 @@ class _Patch(NamedTuple):
 class _Way:
     """Views of the way before the approach, and some of their cells."""
 
-    def __init__(self, drives: Sequence[Taught], config: TargetConfig) -> None:
-        views = [(d, k) for d, one in enumerate(drives) for k in range(one.approach(config).start)]
+    def __init__(self, drives: Sequence[Taught]) -> None:
+        views = [(d, k) for d, one in enumerate(drives) for k in range(one.approach().start)]
         views = [views[k] for k in evenly(len(views), _VIEWS)]
         self.cells = [cells_of(drives[d].pictures[k], 2) for d, k in views]
         self.codes = np.empty((0, NUMBERS), dtype=np.float32)
         for cells in self.cells:
             self.codes = np.concatenate([self.codes, _spread(cells, _CODES, self.codes)])
         # Just before the approach, the target can already be in view.
-        first_s = config.approach_s + config.beside_s
+        first_s = TARGET_CONFIG.approach_s + TARGET_CONFIG.beside_s
         without = [n for n, (d, k) in enumerate(views) if drives[d].left_s[k] >= first_s]
         self._without = without or range(len(views))
         # Two drives are never at the same place at the same time.
         times = np.array([1e6 * d + drives[d].left_s[k] for d, k in views])
-        self._apart = np.abs(times[:, None] - times) >= config.beside_s
+        self._apart = np.abs(times[:, None] - times) >= TARGET_CONFIG.beside_s
         counts = [min(_CODES, cells.shape[0] * cells.shape[1]) for cells in self.cells]
         self._view = np.repeat(np.arange(len(views)), counts)
 
@@ -108,18 +99,18 @@ class _Way:
 
         return list(in_parallel(compare, self._without))
 
-    def stands_out(self, share: float) -> float:
-        """Return the distance from the rest of the way that this share of its cells is below."""
+    def threshold(self) -> float:
+        """Return the distance from the rest of the way beyond which a cell is new."""
         numbers = range(len(self.cells))
         apart = in_parallel(lambda k: nearest(self.cells[k], self.elsewhere(k)), numbers)
         distances = np.concatenate([each.ravel() for each in apart])
-        return float(np.quantile(distances, share))
+        return float(np.quantile(distances, TARGET_CONFIG.known))
 
 
-def learn_sight(drives: Sequence[Taught], config: TargetConfig = TARGET_CONFIG) -> Sight | None:
+def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     """Learn the target at the ends of some drives; None if nothing there stands out from their ways."""
-    way = _Way(drives, config)
-    patches = _tracked(drives, way, config) if len(way.cells) >= 4 else []
+    way = _Way(drives)
+    patches = _tracked(drives, way) if len(way.cells) >= 4 else []
     if len(patches) < 2:
         return None
     parts = [patch.inside() for patch in patches]
@@ -135,39 +126,39 @@ def learn_sight(drives: Sequence[Taught], config: TargetConfig = TARGET_CONFIG) 
     found = [each.window(windows) for each in here]
     scores = [window.score for window in found]
     usual = [each.window(windows).score for each in elsewhere]
-    evidence = ScoreEvidence.fit(scores, usual, config.sure)
+    evidence = ScoreEvidence.fit(scores, usual, TARGET_CONFIG.sure)
     if evidence is None:
         return None
     # Further away the target has hardly a cell.
     clear = [k for k, score in enumerate(scores) if score > evidence.most]
     left_s = np.array([patches[k].left_s for k in clear])
     sizes, lows, _ = np.array([here[k].extent(found[k], evidence.usual) for k in clear]).T
-    distance = Distance.fit(left_s, sizes, lows, config.end_s)
+    distance = Distance.fit(left_s, sizes, lows, TARGET_CONFIG.end_s)
     unlike = max(each.unlike for each in elsewhere)
     codes = target.astype(np.float16), others.astype(np.float16)
     return Sight(*codes, windows, unlike, evidence, distance)
 
 
-def _tracked(drives: Sequence[Taught], way: _Way, config: TargetConfig) -> list[_Patch]:
+def _tracked(drives: Sequence[Taught], way: _Way) -> list[_Patch]:
     """Return the target in the views of all approaches."""
-    stands_out = way.stands_out(config.stands_out)
-    if not np.isfinite(stands_out):
+    threshold = way.threshold()
+    if not np.isfinite(threshold):
         return []
-    each = in_parallel(lambda one: list(_patches(one, way.codes, stands_out, config)), drives)
+    each = in_parallel(lambda one: list(_patches(one, way.codes, threshold)), drives)
     patches = [patch for of_drive in each for patch in of_drive]
     return _lasting([patches[k] for k in evenly(len(patches), _VIEWS)])
 
 
-def learn_word(drives: Sequence[Taught], config: TargetConfig = TARGET_CONFIG) -> Word | None:
+def learn_word(drives: Sequence[Taught]) -> Word | None:
     """Learn the label that detectors find at the ends of drives and not on their ways; None without any.
 
     Of several labels, the last views decide, in the drawn box if any; then the size.
     """
-    last = [found for one in drives for found in _last_detections(one, config)]
+    last = [found for one in drives for found in _last_detections(one)]
     words = [
         _word(label, evidence, [found for found in last if found.label == label])
         for label in sorted({found.label for found in last})
-        if (evidence := _evidence_of(label, drives, config)) is not None
+        if (evidence := _evidence_of(label, drives)) is not None
     ]
     return max(words, key=lambda each: each[:2])[2] if words else None
 
@@ -181,36 +172,34 @@ def _word(
     return told, size, Word(label, size, evidence)
 
 
-def _evidence_of(
-    label: str, drives: Sequence[Taught], config: TargetConfig
-) -> ScoreEvidence | None:
+def _evidence_of(label: str, drives: Sequence[Taught]) -> ScoreEvidence | None:
     """Calibrate the scores of a label."""
     here: list[float] = []
     elsewhere: list[float] = []
     for one in drives:
         scores = [best(view, label)[0] for view in one.detected]
-        here += scores[one.approach(config).start :]
-        elsewhere += scores[: _first_view(one, scores, config)]
-    return ScoreEvidence.fit(here, elsewhere, config.sure)
+        here += scores[one.approach().start :]
+        elsewhere += scores[: _first_view(one, scores)]
+    return ScoreEvidence.fit(here, elsewhere, TARGET_CONFIG.sure)
 
 
-def _last_detections(one: Taught, config: TargetConfig) -> Iterator[Detection]:
+def _last_detections(one: Taught) -> Iterator[Detection]:
     """Yield the detections at the end of a drive, in its box if any."""
-    for k in one.approach(config):
-        if one.left_s[k] <= config.moment_s:
+    for k in one.approach():
+        if one.left_s[k] <= TARGET_CONFIG.moment_s:
             for found in one.detected[k]:
                 if area(found) > 0.0 and (one.box is None or _middle_in(found, one.box)):
                     yield found
 
 
-def _first_view(one: Taught, scores: Sequence[float], config: TargetConfig) -> int:
+def _first_view(one: Taught, scores: Sequence[float]) -> int:
     """Return the first view with a detection, across short gaps: on a straight way a tag can be read from far away."""
-    first = one.approach(config).start
+    first = one.approach().start
     least = float(np.mean(scores[first:] or [0.0])) / 2.0
     for k in reversed(range(first)):
         if scores[k] >= least:
             first = k
-        elif one.left_s[k] - one.left_s[first] > config.beside_s:
+        elif one.left_s[k] - one.left_s[first] > TARGET_CONFIG.beside_s:
             break
     return first
 
@@ -251,18 +240,19 @@ def _lasting(patches: list[_Patch]) -> list[_Patch]:
     return found
 
 
-def _patches(
-    one: Taught, codes: Float32s, stands_out: float, config: TargetConfig
-) -> Iterator[_Patch]:
-    """Yield the target in the views of the approach, the last view first."""
+def _patches(one: Taught, codes: Float32s, threshold: float) -> Iterator[_Patch]:
+    """Yield the target in the views of the approach, the last view first.
+
+    A cell is new from a threshold of its distance from the codes of the way on.
+    """
     known = np.empty((0, NUMBERS), dtype=np.float32)
     middle = np.array([np.nan, (SHAPE[1] - 1) / 2.0])
-    for k in reversed(one.approach(config)):
+    for k in reversed(one.approach()):
         cells = cells_of(one.pictures[k])
         new = nearest(cells, codes)
-        above = new > stands_out
+        above = new > threshold
         if not len(known):
-            mask = _first_mask(one.box, above, new - stands_out, middle)
+            mask = _first_mask(one.box, above, new - threshold, middle)
             if mask is None:
                 return
         else:
@@ -283,19 +273,19 @@ def _first_mask(box: Box | None, above: Bools, weights: Float32s, middle: Floats
     return _piece(above, weights, middle) if box is None else _drawn(box, above)
 
 
-def _drawn(box: Box, stands_out: Bools) -> Bools:
-    """Return the cells in a box that stand out, or all of them if hardly any does."""
-    inside = np.zeros(stands_out.shape, dtype=np.bool_)
+def _drawn(box: Box, new: Bools) -> Bools:
+    """Return the new cells in a box, or all of its cells if hardly any is new."""
+    inside = np.zeros(new.shape, dtype=np.bool_)
     left, top, right, bottom = (round(share * SHAPE[(k + 1) % 2]) for k, share in enumerate(box))
     inside[top:bottom, left:right] = True
-    return inside & stands_out if (inside & stands_out).sum() >= _FEWEST else inside
+    return inside & new if (inside & new).sum() >= _FEWEST else inside
 
 
-def _piece(stands_out: Bools, weights: Float32s, middle: Floats) -> Bools | None:
+def _piece(mask: Bools, weights: Float32s, middle: Floats) -> Bools | None:
     """Return the heaviest connected component of a mask, with more weight near a row and a column; None if empty."""
     import cv2  # noqa: PLC0415 - see `smal.features.resizing`
 
-    count, labels, stats, middles = cv2.connectedComponentsWithStats(stands_out.astype(np.uint8))
+    count, labels, stats, middles = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     away = np.nan_to_num(middles[:, ::-1] - middle) / (SHAPE[1] / 4.0)
     central = np.exp(-0.5 * (away**2).sum(axis=1))
     sums = np.bincount(labels.ravel(), weights.ravel(), minlength=count) * central

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from smal.arrays import AnyArray, Float32s, Int32s
 from smal.camera import Image
+from smal.features.cells import NUMBERS, cells_of, nearest
 from smal.features.resizing import SHAPE
 from smal.sought.distance import Distance
 from smal.sought.evidence import ScoreEvidence, Sighting
 
-NUMBERS: Final = 27  # A cell and its eight neighbours, in three colours.
 #: Number of window sizes.
 SIZES: Final = 4
 _MOST_CODES: Final = 16_384  # Maximum codes in a file; learning stores fewer.
@@ -36,42 +36,23 @@ class TargetConfig:
     #: Time before the end of a drive in which the target can be visible: from further away it is
     #: smaller than a cell.
     approach_s: float = 4.0
-    #: Time within which views show the same objects: as `approach_s`, without the last second.
-    beside_s: float = 3.0
     #: Time, by the clock, within which views count as one.
     moment_s: float = 0.5
-    #: Probability that a cell of the way is nearer to the rest of the way than a cell that stands
-    #: out: a target covers about a fiftieth of a view.
-    stands_out: float = 0.98
+    #: Share of the cells of the way that are nearer to the rest of the way than a new cell: a
+    #: target covers about a fiftieth of a view.
+    known: float = 0.98
     #: Probability from which the target counts as in view: a false report costs the search.
     sure: float = 0.975
     #: Usual distance from the end of a drive to its target, where the drive itself shows none.
     end_s: float = 1.5
 
+    @property
+    def beside_s(self) -> float:
+        """Time within which views show the same objects: `approach_s` without the last second."""
+        return self.approach_s - 1.0
+
 
 TARGET_CONFIG: Final = TargetConfig()
-
-
-def cells_of(picture: Image, step: int = 1) -> Float32s:
-    """Return every ``step``-th cell of a small picture, (rows, columns, 27), normalised in brightness."""
-    light = picture.astype(np.float32) / max(2.0 * float(picture.mean()), 1.0)
-    colours = np.sqrt(np.minimum(light, 1.5))
-    edged = np.pad(colours, ((1, 1), (1, 1), (0, 0)), mode="edge")
-    rows, columns = picture.shape[:2]
-    cells = [edged[y : y + rows : step, x : x + columns : step] for y in range(3) for x in range(3)]
-    return np.asarray(np.concatenate(cells, axis=-1), dtype=np.float32)
-
-
-def nearest(cells: Float32s, codes: AnyArray) -> Float32s:
-    """Return the distance of each cell (..., 27) from the nearest code (n, 27); infinite without codes."""
-    flat = cells.reshape(-1, NUMBERS)
-    held = codes.astype(np.float32)
-    if not len(held):
-        return np.full(cells.shape[:-1], np.inf, dtype=np.float32)
-    squares = (held * held).sum(axis=1) - 2.0 * flat @ held.T
-    away = squares.min(axis=1) + (flat * flat).sum(axis=1)
-    distance = np.sqrt(np.maximum(away, 0.0))
-    return np.asarray(distance.reshape(cells.shape[:-1]), dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +157,7 @@ class Sight:
         if wrong:
             raise ValueError(f"the parts of the target do not fit together: {', '.join(wrong)}")
 
-    def look(self, picture: Image) -> Sighting:
+    def detect(self, picture: Image) -> Sighting:
         """Return the evidence of a small picture."""
         compared = Compared.of(cells_of(picture, 2), self.target, self.others)
         window = compared.window(self.windows)

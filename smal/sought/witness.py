@@ -11,7 +11,7 @@ from smal.camera import Image
 from smal.features.detectors import Detection
 from smal.sought.distance import combined
 from smal.sought.evidence import NOTHING, Sighting
-from smal.sought.sight import TARGET_CONFIG, Sight, TargetConfig
+from smal.sought.sight import TARGET_CONFIG, Sight
 from smal.sought.word import Word
 
 #: Contrast of a picture, of 255, below which it is blank: the noise of a camera in the dark.
@@ -32,19 +32,16 @@ class Glimpse(NamedTuple):
 class Witness:
     """Estimates for each view whether the target is in view, by its appearance, its detections, or both."""
 
-    def __init__(
-        self, sight: Sight | None, word: Word | None = None, config: TargetConfig = TARGET_CONFIG
-    ) -> None:
+    def __init__(self, sight: Sight | None, word: Word | None = None) -> None:
         self._sight = sight
         self._word = word
-        self._moment_s = config.moment_s
         self.reset()
 
     def reset(self) -> None:
         """Start a new episode."""
         self._recent = deque[tuple[float, Sighting]]()
 
-    def look(
+    def observe(
         self,
         picture: Image,
         time_s: float = 0.0,
@@ -59,7 +56,7 @@ class Witness:
         if float(picture.std()) >= _BLANK:
             latest = self._sighting(picture, detected)
             self._recent.append((time_s, latest))
-            while self._recent[0][0] < time_s - 0.99 * self._moment_s:
+            while self._recent[0][0] < time_s - 0.99 * TARGET_CONFIG.moment_s:
                 self._recent.popleft()
         if not self._recent:
             return Glimpse(0.5, 0.0)
@@ -81,9 +78,9 @@ class Witness:
 
     def _sighting(self, picture: Image, detected: Iterable[Detection]) -> Sighting:
         """Return the joint evidence: log ratios add up, and the strongest evidence gives the direction."""
-        found = [] if self._sight is None else [self._sight.look(picture)]
+        found = [] if self._sight is None else [self._sight.detect(picture)]
         if self._word is not None:
-            found.append(self._word.look(detected))
+            found.append(self._word.detect(detected))
         strongest = max(found, default=NOTHING)
         visible = [each for each in found if each.log_ratio > 0.0] or [strongest]
         log_near, error = combined(*((each.log_near, each.error) for each in visible))

@@ -9,7 +9,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from smal.arrays import AnyArray
 from smal.features.detectors import LONGEST, Detection
 from smal.sought.evidence import NOTHING, ScoreEvidence, Sighting
 
@@ -35,7 +34,7 @@ class Word:
                 f"the parts of the detector's calibration do not fit together: {str(label)[:LONGEST]!r}"
             )
 
-    def look(self, detections: Iterable[Detection]) -> Sighting:
+    def detect(self, detections: Iterable[Detection]) -> Sighting:
         """Return the evidence of the detections in one view."""
         score, detection = best(detections, self.label)
         log_ratio = self.evidence.log_ratio(score)
@@ -59,16 +58,12 @@ def best(detections: Iterable[Detection], label: str) -> tuple[float, Detection 
     return max(scores, key=lambda scored: scored[0], default=(0.0, None))
 
 
-def content_of_words(
-    words: Mapping[str, Word],
-) -> tuple[list[dict[str, Any]], dict[str, AnyArray]]:
-    """Return the metadata and the arrays of the words of goals."""
-    return [{"goal": goal} | asdict(word) for goal, word in words.items()], {}
+def content_of_words(words: Mapping[str, Word]) -> list[dict[str, Any]]:
+    """Return the metadata of the words of goals."""
+    return [{"goal": goal} | asdict(word) for goal, word in words.items()]
 
 
-def words_of_content(
-    meta: Sequence[dict[str, Any]], arrays: dict[str, AnyArray]
-) -> dict[str, Word]:
+def words_of_content(meta: Sequence[dict[str, Any]]) -> dict[str, Word]:
     """Build the words of goals from a file; LookupError, TypeError or ValueError if the content is invalid."""
     return {
         str(part["goal"]): Word(part["label"], part["size"], ScoreEvidence(**part["evidence"]))

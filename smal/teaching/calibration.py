@@ -13,13 +13,13 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.optimize import isotonic_regression
 
-from smal.arrays import AnyArray, Bools, Float32s, Floats, Indices, Int8s, Int32s
+from smal.arrays import AnyArray, Bools, Float32s, Floats, Indices, Int8s, Int32s, evenly
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
 from smal.features.extraction import in_parallel
 from smal.features.resizing import PIXELS, fitted
 from smal.files.packed import unpacked
 from smal.keyframes import MapConfig
-from smal.likelihood import Likelihood, evenly, standing_out
+from smal.likelihood import Likelihood, standing_out
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
 
 #: Returns the centred features (n, m) of n images.
@@ -312,7 +312,8 @@ def _length_of(way: Floats, cosine: AnyArray, unrelated: float) -> float:
     while True:
         if not (way[way <= reach] > 0.0).any():
             raise ValueError(
-                "between two images of the demonstrations nothing stays alike: frames are too far apart"
+                "the images of the drives are too far apart: neighbouring images have nothing in "
+                "common; record more images a metre, or drive more slowly"
             )
         edges = np.linspace(0.0, reach, 100)
         within = way <= reach
@@ -322,14 +323,14 @@ def _length_of(way: Floats, cosine: AnyArray, unrelated: float) -> float:
         full = count > 0
         mean = total[full] / count[full]
         middles = (edges[:-1] + edges[1:]) / 2.0
-        length = _half_way(middles[full], mean, count[full], 1.0, unrelated)
+        length = _half_way(middles[full], mean, count[full], unrelated)
         # A short length lies within the first few bins: repeat with finer bins.
         if length > 0.1 * reach:
             return length
         reach = 4.0 * length
 
 
-def compared_frames(count: int, most: int = CALIBRATION_CONFIG.most_frames) -> Indices:
+def compared_frames(count: int, most: int) -> Indices:
     """Return the frames of a drive that `correlation_length` compares, at most about `most`.
 
     They are evenly spread numbers, each followed by numbers at growing distances, so that some
@@ -378,29 +379,28 @@ def correlation_turn(frames: TaughtFrames, camera: Camera, unrelated: float) -> 
 
     mean = np.array([1.0, *in_parallel(cosine, _TURNS_RAD)])
     turns = np.array([0.0, *_TURNS_RAD])
-    return _half_way(turns, mean, np.ones_like(mean), 1.0, unrelated)
+    return _half_way(turns, mean, np.ones_like(mean), unrelated)
 
 
 def _half_way(
     far: Floats,
     cosines: AnyArray,
     counts: AnyArray,
-    best: float,
     unrelated: float,
 ) -> float:
-    """Return the distance at which falling cosines are half way from the best to the unrelated cosine.
+    """Return the distance at which falling cosines are half way from 1 to the unrelated cosine.
 
     Each cosine is the mean of `counts` pairs. Isotonic regression merges neighbours where the cosines rise.
     """
     falling = isotonic_regression(cosines, weights=counts, increasing=False)
     firsts = falling.blocks[:-1]
     middles = np.add.reduceat(far * counts, firsts) / falling.weights
-    half = (best + unrelated) / 2.0
+    half = (1.0 + unrelated) / 2.0
     return float(np.interp(-half, -falling.x[firsts], middles))
 
 
 @dataclass(frozen=True, eq=False)
-class _Looks:
+class _KeyframeViews:
     """The views of k keyframes; the own view of each is treated as a robot's view."""
 
     #: (k, 3)
@@ -501,36 +501,37 @@ def likelihood_of_views(
     count = len(views)
     drives = frames.drives[keyframes]
     sample = unpacked(views[evenly(count, config.reference), 1, STRAIGHT])
-    looks = _Looks(frames.poses[keyframes], drives, views, sample)
+    taught = _KeyframeViews(frames.poses[keyframes], drives, views, sample)
     neighbouring: list[float | None] = []
     alike = []
     for key in evenly(count, frames.config.most_frames // 4).tolist():
-        neighbours = looks.neighbours(key)
-        neighbouring += [looks.beside(key, other) for other in neighbours]
+        neighbours = taught.neighbours(key)
+        neighbouring += [taught.beside(key, other) for other in neighbours]
         if key + 1 in neighbours:
             first, second = frames.centred(keyframes[key : key + 2])
             alike.append(float(first @ second))
     here = [z for z in neighbouring if z is not None]
     if not here:
         raise ValueError(
-            "the demonstrations are too short, or their frames too far apart, to tell how alike views of one place are"
+            "no keyframe has a neighbour on its drive, so that the likelihood of views cannot be measured; "
+            "record longer drives, or more images a metre"
         )
-    fixed, followed, chains = _elsewhere(looks, length, frames.config, config)
+    fixed, followed, chains = _elsewhere(taught, length, frames.config, config)
     correlation = _correlation(chains)
     gamma = gamma_of(float(np.mean(alike)), correlation)
-    independent = _independent(looks.poses, drives, length)
+    independent = _independent(taught.poses, drives, length)
     return Likelihood.fit(np.array(here), fixed, followed, independent, gamma, config), correlation
 
 
 def _elsewhere(
-    looks: _Looks, length: float, config: CalibrationConfig, map_config: MapConfig
+    taught: _KeyframeViews, length: float, config: CalibrationConfig, map_config: MapConfig
 ) -> tuple[Floats, Floats, Floats]:
     """Return z at fixed views of other places, z on the best of neighbouring wrong ways, and pairs of following z.
 
     The shapes are (n,), (m,) and (2, p).
     """
     steps = map_config.views_a_length
-    count = len(looks.drives)
+    count = len(taught.drives)
     blocks = np.arange(0, count - 2 * steps + 2, steps)
     blocks = blocks[evenly(blocks.size, config.most_frames // (2 * steps))]
     fixed = [np.empty(0)]
@@ -538,9 +539,9 @@ def _elsewhere(
     chains = [np.empty((2, 0))]
     for first in evenly(count - steps + 1, config.most_frames // (4 * steps)):
         keys = np.arange(first, first + steps)
-        if looks.drives[keys[0]] != looks.drives[keys[-1]]:
+        if taught.drives[keys[0]] != taught.drives[keys[-1]]:
             continue
-        for z in looks.wrong_ways(keys, blocks, map_config.elsewhere * length):
+        for z in taught.wrong_ways(keys, blocks, map_config.elsewhere * length):
             fixed.append(z.ravel())
             start, view = np.unravel_index(z.mean(axis=1).argmax(), z[:, 0].shape)
             followed.append(z[start, :, view])

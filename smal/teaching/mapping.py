@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.linalg import eigh
 
-from smal.arrays import Float32s, Floats, Int8s, Int32s
+from smal.arrays import Float32s, Floats, Int8s, Int32s, evenly
 from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
 from smal.features import Centering, FeatureSettings, extract
 from smal.features.detectors import Detection
@@ -19,7 +19,6 @@ from smal.features.extraction import Parallel, detect, in_parallel, looked_at
 from smal.features.resizing import fitted, small
 from smal.files.packed import packed, unit
 from smal.keyframes import MAP_CONFIG, MapConfig, shows_same, without_detours
-from smal.likelihood import evenly
 from smal.map import VisualMap, beside, way_from
 from smal.model import Model
 from smal.movement import Atom, dead_reckoning
@@ -28,6 +27,7 @@ from smal.sought.learning import Box, Taught, learn_sight, learn_word
 from smal.sought.sight import Sight
 from smal.sought.word import Word
 from smal.teaching.calibration import (
+    CALIBRATION_CONFIG,
     USUAL_CAMERAS,
     TaughtFrames,
     compared_frames,
@@ -117,7 +117,6 @@ def learn(
         basis=basis,
         views=views,
         blank=unit(frames.describe([grey])[0] @ basis),
-        aside=aside,
         correlation_length=length,
         correlation_rad=correlation_turn(frames, camera, unrelated),
         log_ratio=likelihood.log_ratio,
@@ -227,7 +226,7 @@ class _Kept:
     def __init__(self, features: Sequence[Float32s], frames: Sequence[int]) -> None:
         self._features = features
         starts = np.cumsum([0, *frames[:-1]])
-        compared = [compared_frames(count) for count in frames]
+        compared = [compared_frames(count, CALIBRATION_CONFIG.most_frames) for count in frames]
         wanted = [start + some for start, some in zip(starts, compared, strict=True)]
         self._wanted = set(np.concatenate(wanted).tolist())
         self._rows: dict[int, Float32s] = {}

@@ -30,16 +30,16 @@ _Stitch = tuple[int, int, list[float]]
 
 def stitched(visual_map: VisualMap) -> VisualMap:
     """Return the map with the stitches between its drives."""
-    if len(visual_map.goals) == 1:
+    if visual_map.drive_count == 1:
         return visual_map
     found: list[_Stitch] = []
     best, offsets = _best_of_each_drive(visual_map)
-    for one, other in permutations(range(len(visual_map.goals)), 2):
+    for one, other in permutations(range(visual_map.drive_count), 2):
         matched = best[:, other]
         # Poses of the keyframes of one drive in the axes of the other.
         robot = placed(offsets[:, other], visual_map.key_poses[matched])
-        runs = _runs(visual_map, best, one, other)
-        kept = _reachable(visual_map, runs, matched, robot)
+        stretches = _stretches(visual_map, best, one, other)
+        kept = _reachable(visual_map, stretches, matched, robot)
         if kept:
             found.extend(_joined(visual_map, np.concatenate(kept), matched, robot))
     found.sort(key=lambda stitch: stitch[:2])
@@ -55,9 +55,9 @@ def stitched(visual_map: VisualMap) -> VisualMap:
 def _best_of_each_drive(visual_map: VisualMap) -> tuple[Indices, Floats]:
     """Return for each keyframe the most likely keyframe of each drive (k, d), -1 without any, and its own offset."""
     count = len(visual_map.keyframes)
-    goals = len(visual_map.goals)
-    best = np.full((count, goals), -1, dtype=np.intp)
-    offsets = np.zeros((count, goals, 3))
+    drives = visual_map.drive_count
+    best = np.full((count, drives), -1, dtype=np.intp)
+    offsets = np.zeros((count, drives, 3))
 
     def compare(start: int) -> None:
         own = unpacked(visual_map.views[start : start + BATCH, 1, STRAIGHT])
@@ -112,8 +112,8 @@ def _peak(values: Float32s, at: int) -> float:
     return float(min(max(vertex, 0.0), values.size - 1.0))
 
 
-def _runs(visual_map: VisualMap, best: Indices, one: int, other: int) -> list[Indices]:
-    """Return runs of keyframes of one drive that match another drive mutually and in order for a correlation length."""
+def _stretches(visual_map: VisualMap, best: Indices, one: int, other: int) -> list[Indices]:
+    """Return stretches of one drive that match another drive mutually and in order for a correlation length."""
     keys = np.flatnonzero(visual_map.key_drives == one)
     matched = best[keys, other]
     back = np.where(matched >= 0, best[matched, one], -1)
@@ -121,26 +121,26 @@ def _runs(visual_map: VisualMap, best: Indices, one: int, other: int) -> list[In
     mutual = (back >= 0) & (np.abs(back - keys) <= advance)
     step = np.diff(matched)
     goes_on = mutual[:-1] & mutual[1:] & (step >= 0) & (step <= advance)
-    runs = np.split(keys, np.flatnonzero(~goes_on) + 1)
-    return [run for run in runs if run.size > visual_map.config.views_a_length]
+    stretches = np.split(keys, np.flatnonzero(~goes_on) + 1)
+    return [each for each in stretches if each.size > visual_map.config.views_a_length]
 
 
 def _reachable(
-    visual_map: VisualMap, runs: list[Indices], there: Indices, robot: Floats
+    visual_map: VisualMap, stretches: list[Indices], there: Indices, robot: Floats
 ) -> list[Indices]:
-    """Return the runs that are consistent with the longest run by the odometry of both drives."""
+    """Return the stretches that are consistent with the longest by the odometry of both drives."""
     kept: list[Indices] = []
-    for run in sorted(runs, key=len, reverse=True):
+    for stretch in sorted(stretches, key=len, reverse=True):
         pairs = [
             (known, new)
             for other in kept
             for known in (other[0], other[-1])
-            for new in (run[0], run[-1])
+            for new in (stretch[0], stretch[-1])
         ]
         apart = [_off(visual_map, there, robot, *pair) for pair in pairs]
         # The nearest stretch counts: it has the least drift.
         if not apart or min(apart)[1] < visual_map.config.trusted:
-            kept.append(run)
+            kept.append(stretch)
     return kept
 
 
@@ -156,14 +156,16 @@ def _off(
     off = by_other[:2] - by_one[:2]
     turned = float(wrapped(by_other[2:] - by_one[2:])[0])
     way = 0.0
-    turns = 0.0
+    variance = 0.0
     for first, last in (sorted((one, other)), sorted((there[one], there[other]))):
         steps = np.diff(poses[first : last + 1], axis=0)
         way += float(np.hypot(*steps[:, :2].T).sum())
-        turns += float(np.abs(wrapped(steps[:, 2])).sum())
+        turns = wrapped(steps[:, 2])
+        variance += noise.turn**2 * float(np.abs(turns).sum())
+        variance += (noise.pace * float(turns.sum())) ** 2
     # A stitch is as exact as the spacing of virtual views in turn, and as the correlation length along the way.
     drift = math.radians(noise.drift_deg) ** 2 * way / length
-    heading = math.sqrt(drift + (noise.turn * turns) ** 2 + math.radians(STEP_DEG) ** 2)
+    heading = math.sqrt(drift + variance + math.radians(STEP_DEG) ** 2)
     aside = heading * float(np.hypot(*by_one[:2]))
     distance = math.hypot(noise.pace * way, aside, length)
     return way, max(float(np.hypot(*off)) / distance, abs(turned) / heading)

@@ -66,7 +66,6 @@ def map_of(metres: float, components: int) -> Model:
         basis=np.linalg.qr(rng.standard_normal((_FEATURES.size, components)))[0].astype(np.float32),
         views=views,
         blank=np.zeros(components, np.float32),
-        aside=1.5,
         correlation_length=5.0 * SPACING_M,
         correlation_rad=0.2,
         log_ratio=np.tile(np.linspace(-3.0, 10.0, GRID.size), (SHARES.size, 1)),

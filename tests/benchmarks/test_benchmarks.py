@@ -43,7 +43,14 @@ def test_the_bus_is_measured(
 
 
 TINY = recognition.Plan(
-    n=40, lengths=(1, 5), features=64, queries=2, repetitions=1, peers=((20, 5),)
+    n=40,
+    drives=3,
+    route=10,
+    lengths=(1, 5),
+    features=64,
+    queries=2,
+    repetitions=1,
+    peers=((20, 5),),
 )
 
 
@@ -55,7 +62,7 @@ def test_recognition_is_measured(
     out = tmp_path / "pictures"
     recognition.main(["--quick", "--json", str(file), "--out", str(out)])
     results = json.loads(file.read_text())
-    assert [one["l"] for one in results["matching"]] == [1, 5]
+    assert [one["l"] for one in results["matching"]] == [1, 5, 1, 5]
     for one in results["matching"]:
         assert 0.0 < one["ratio"] <= one["ratio_worst"]
         assert one["converged"]

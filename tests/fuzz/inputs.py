@@ -143,7 +143,6 @@ def smallest_map() -> Model:
         basis=np.eye(COLOR.size, 1, dtype=np.float32),
         views=np.ones((2, 3, TURNS_DEG.size, 1), np.int8),
         blank=np.zeros(1, np.float32),
-        aside=0.4,
         correlation_length=1.0,
         correlation_rad=0.2,
         log_ratio=np.tile(np.linspace(-3.0, 10.0, GRID.size), (SHARES.size, 1)),

@@ -102,7 +102,7 @@ def test_unexpected_ground_is_reported_when_it_is_watched(
         service = RecognitionService(watches)
         loaded = LoadedModel.read(tmp_path / "way.smal")
         if ground is None:
-            with pytest.raises(ServiceError, match="does not know how the ground looks"):
+            with pytest.raises(ServiceError, match="has no ground"):
                 service.load(loaded)
             continue
         service.load(loaded)

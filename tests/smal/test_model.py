@@ -180,7 +180,7 @@ def test_oversized_model_is_not_written(
 
 def test_model_file_keeps_the_map_config(tmp_path: Path) -> None:
     taught = visual_corridor.model()
-    config = MapConfig(looks=2, hidden=0.2)
+    config = MapConfig(most_variants=2, hidden=0.2)
     path = tmp_path / "map.smal"
     dataclasses.replace(taught, mapped=dataclasses.replace(taught.mapped, config=config)).save(path)
     assert Model.load(path).mapped.config == config
@@ -189,8 +189,8 @@ def test_model_file_keeps_the_map_config(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "number"),
     [
-        ("looks", 0),
-        ("looks", 2.5),
+        ("most_variants", 0),
+        ("most_variants", 2.5),
         ("hidden", math.nan),
         ("hidden", 1.0),
         ("usual", 1.0),

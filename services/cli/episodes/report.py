@@ -16,8 +16,8 @@ from services.experiments.drawing import legend, look_at
 from services.experiments.words import condition
 from services.simulator.world import known_worlds, load_world
 from services.simulator.world.map_view import draw_map
+from smal.arrays import evenly
 from smal.files.stored import Stored
-from smal.likelihood import evenly
 
 THING_COLOUR: Final = "#d6602d"
 STRIP: Final = 6  # Number of camera images of the example run.

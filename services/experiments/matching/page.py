@@ -7,7 +7,7 @@ import numpy as np
 from schemas.codec import printable
 from services.experiments import html
 from services.experiments.matching.report import Result, title_of
-from smal.likelihood import evenly
+from smal.arrays import evenly
 
 _MATCHES: Final = 200  # Maximum number of matches on a page.
 _REFERENCES: Final = 60  # Maximum number of references on a page.

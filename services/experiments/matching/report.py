@@ -11,10 +11,10 @@ import numpy as np
 from schemas.codec import printable
 from services.experiments.matching.traverse import Traverse
 from services.experiments.words import counted, table
+from smal.arrays import evenly
 from smal.evaluation.ground_truth import IntervalTruth
 from smal.evaluation.precision_recall import PrecisionRecall, figures_of
 from smal.evaluation.reliability import Reliability, known_from_unknown
-from smal.likelihood import evenly
 from smal.place_recognition import Matches
 from smal.place_recognition.matches import NONE
 from smal.place_recognition.methods import MatchSettings

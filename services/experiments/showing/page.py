@@ -15,7 +15,7 @@ from services.experiments.showing.summary import facts, goals_of, taught_drives
 from services.experiments.showing.ways import Believed, Ways, believed
 from services.experiments.words import counted
 from services.recordings.recorded import episode_of
-from smal.likelihood import evenly
+from smal.arrays import evenly
 from smal.model import Model
 from smal.paper.model import PaperModel
 from smal.planning import cost_to_go

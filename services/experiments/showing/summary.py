@@ -91,13 +91,13 @@ def _of_map(model: Model) -> dict[str, str]:
     where = f", {height:.2f} m above the ground" if taught.odometry else ""
     return {
         "goals": ", ".join(_goal(model, goal) for goal in goals_of(model)),
-        "map": f"{len(taught.keyframes)} keyframes of {counted(len(taught.goals), 'drive')}, {taught.basis.shape[1]} "
+        "map": f"{len(taught.keyframes)} keyframes of {counted(taught.drive_count, 'drive')}, {taught.basis.shape[1]} "
         f"components a view, {taught.views.nbytes / 1e6:.1f} MB, {counted(len(taught.stitched), 'joint')}; "
         f"a frame each {taught.tick_s:g} s",
-        "view variants": f"{len(taught.looks)}, learned from runs",
+        "view variants": f"{len(taught.variants)}, learned from runs",
         "odometry": "yes, in metres" if taught.odometry else "none: usual movement of actions",
         "camera": f"{across:.0f} degrees wide{where}",
-        "drives": f"{len(taught.goals)}, {len(taught.poses)} frames",
+        "drives": f"{taught.drive_count}, {len(taught.poses)} frames",
     }
 
 

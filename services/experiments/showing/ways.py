@@ -35,7 +35,7 @@ class Ways:
         first = np.searchsorted(self.of, taught.drives)
         self.poses = placed(seen_from(taught.poses, taught.key_poses[first]), self.key_poses[first])
         one, other = self.of[taught.stitched].T
-        drives = len(taught.goals)
+        drives = taught.drive_count
         _, self.groups = connected_components(
             coo_array((np.ones(one.size), (one, other)), (drives, drives)), False
         )

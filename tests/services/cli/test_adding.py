@@ -64,7 +64,7 @@ def test_a_model_learns_from_runs_and_goes_back(runs: Path, tmp_path: Path, smal
     assert "is left out" not in err, "each file is read once"
     said = json.loads(report.read_text())
     assert (said["taken"], said["runs"], said["judged_by"]) == (True, 4, 2)
-    assert len(Model.load(file).mapped.looks) == said["looks"] > 0
+    assert len(Model.load(file).mapped.variants) == said["view_variants"] > 0
     assert [one.read_bytes() for one in versions(file)] == [before]
     status, out, _ = smal("model", "back", file)
     assert (status, file.read_bytes()) == (0, before)
@@ -137,11 +137,11 @@ def test_add_reports_model_that_cannot_learn_more(
     file = corridor.save_model(tmp_path / "way.smal")
     one = next(iter(runs.iterdir()))
     status, out, err = smal("learn", one, "--add", "--out", file)
-    assert (status, out, "two runs or more" in err.splitlines()[-1]) == (1, "", True)
+    assert (status, out, "too few runs" in err.splitlines()[-1]) == (1, "", True)
     other = record(tmp_path, list(run("elsewhere", 0.0, "dock")))
     _, _, err = smal("learn", one, other, "--add", "--out", file)
     assert "elsewhere: left out: the model has no goal dock" in err
-    assert "two runs or more" in err.splitlines()[-1]
+    assert "too few runs" in err.splitlines()[-1]
     assert "--add" in mistake(2, "learn", runs, "--add", "--out", file, "--modalities", "hog")
     corridor.paper_model().save(file)
     assert "cannot learn from runs" in mistake(2, "learn", runs, "--add", "--out", file)

@@ -137,6 +137,6 @@ def test_model_learns_more_from_runs_and_reports_the_result(tmp_path: Path) -> N
     end = ended(shown)  # it gives way to all that a busy machine does
     assert (end["outcome"], end["done"]) == ("done", "way has learned from these runs."), end
     assert "map extended with new view variants" in str(end["remarks"])
-    assert len(Model.load(model).mapped.looks) > 0
+    assert len(Model.load(model).mapped.variants) > 0
     with pytest.raises(ServiceError, match="model not found"):
         ConsoleService._learn(console, ask.model_copy(update={"model": "models/none.smal"}))

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smal.movement import Atom
-from smal.obstacles.avoidance import Turns, hit_m, turn_round, way_round
+from smal.obstacles.avoidance import Turns, best_turn, detour_turn, hit_m
 from smal.obstacles.clearance import Surroundings, most_speed, scan
 from tests.smal.depth_world import MOUNT, MOVEMENTS, Box, depth, moved, touches
 
@@ -21,7 +21,7 @@ OFF_M = MOUNT.radius_m + 0.1  # Distance of the robot's middle from an obstacle.
 
 def around(*boxes: Box) -> Surroundings:
     made = Surroundings(MOUNT.radius_m)
-    assert made.look(HERE, depth(boxes, HERE), MOUNT)
+    assert made.observe(HERE, depth(boxes, HERE), MOUNT)
     return made
 
 
@@ -45,19 +45,21 @@ def test_way_is_free_up_to_an_obstacle(high: float) -> None:
         np.arange(60)[:, None] < 60 / 2 - 0.5 * MOUNT.focal * 80 / 2.65, depth([WALL], HERE), 0.0
     )
     made = Surroundings(MOUNT.radius_m)
-    assert made.look(HERE, np.where(lifted > 0, lifted, depth([], HERE)).astype(np.float32), MOUNT)
+    assert made.observe(
+        HERE, np.where(lifted > 0, lifted, depth([], HERE)).astype(np.float32), MOUNT
+    )
     assert made.free_m(ahead=True) > 3.5
 
 
 def test_unseen_ground_is_not_free() -> None:
     made = Surroundings(MOUNT.radius_m)
-    assert not made.look(HERE, np.zeros((60, 80), dtype=np.float32), MOUNT)
-    assert not made.look(HERE, None, MOUNT)
+    assert not made.observe(HERE, np.zeros((60, 80), dtype=np.float32), MOUNT)
+    assert not made.observe(HERE, None, MOUNT)
     assert made.free_m(ahead=True) < 0.7
     # A hole in the picture of the ground ahead is as little known as what lies behind it.
     holed = depth([], HERE)
     holed[:48, 30:50] = 0.0
-    assert made.look(HERE, holed, MOUNT)
+    assert made.observe(HERE, holed, MOUNT)
     assert made.free_m(ahead=True) < 3.0
     assert made.free_m(ahead=False) == 0.0  # nobody has looked behind
 
@@ -67,12 +69,12 @@ def test_obstacle_out_of_view_is_kept_until_it_is_seen_gone() -> None:
     made = around(box)
     for k in range(1, 8):  # so near that the camera sees over it
         pose = (0.1 * k, 0.0, 0.0)
-        made.look(pose, depth([box], pose), MOUNT)
+        made.observe(pose, depth([box], pose), MOUNT)
     assert made.free_m(ahead=True) == pytest.approx(1.7 - 0.7 - OFF_M, abs=0.15)
     assert made.free_m(ahead=False) > 0.2  # where it has come from
     made = around((3.0, -0.2, 3.3, 0.2, 1.7))
     for _ in range(6):
-        made.look(HERE, depth([], HERE), MOUNT)
+        made.observe(HERE, depth([], HERE), MOUNT)
     assert made.free_m(ahead=True) > 3.5
 
 
@@ -82,9 +84,9 @@ def test_moving_obstacle_out_of_view_is_forgotten() -> None:
     for before, known in ([], False), ([box], True):
         made = Surroundings(MOUNT.radius_m)
         for boxes in [before] * 4 + [[box]] * 3:
-            made.look(HERE, depth(boxes, HERE), MOUNT)
+            made.observe(HERE, depth(boxes, HERE), MOUNT)
         for _ in range(40):
-            made.look(aside, depth([], aside), MOUNT)
+            made.observe(aside, depth([], aside), MOUNT)
         assert bool(made.occupied[made.cells(np.array([0.4, -2.5]))]) == known
 
 
@@ -96,11 +98,11 @@ def test_robot_keeps_off_walkers_and_passes_standing_things() -> None:
     made = around()
     walks = [aside_at(1.8 - 0.1 * tick) for tick in range(10)]
     for box in walks:
-        made.look(HERE, depth([box], HERE), MOUNT)
+        made.observe(HERE, depth([box], HERE), MOUNT)
     assert made.moving.any()
     assert made.free_m(ahead=True) < 1.6  # half a second of a person's from there
     for _ in range(20):  # it stands
-        made.look(HERE, depth([walks[-1]], HERE), MOUNT)
+        made.observe(HERE, depth([walks[-1]], HERE), MOUNT)
     assert not made.moving.any()
     assert made.free_m(ahead=True) > 3.5
 
@@ -113,8 +115,8 @@ def test_lying_person_has_not_come_when_it_comes_into_view(step_m: float) -> Non
     made = Surroundings(MOUNT.radius_m)
     for x_m in np.arange(0.0, 6.5, step_m):
         pose = (x_m, 0.0, 0.0)
-        made.look(pose, depth([LYING], pose, shape=(240, 320)), MOUNT)
-        assert not made.has_come(0.0)
+        made.observe(pose, depth([LYING], pose, shape=(240, 320)), MOUNT)
+        assert not made.is_new(0.0)
     assert made.free_m(ahead=True) < 2.0
 
 
@@ -122,8 +124,8 @@ def test_lying_person_has_come_when_the_place_was_seen_free() -> None:
     made = Surroundings(MOUNT.radius_m)
     pose = (6.0, 0.0, 0.0)
     for boxes in [[]] * 5 + [[LYING]] * 5:
-        made.look(pose, depth(boxes, pose, shape=(240, 320)), MOUNT)
-    assert made.has_come(0.0)
+        made.observe(pose, depth(boxes, pose, shape=(240, 320)), MOUNT)
+    assert made.is_new(0.0)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -138,8 +140,8 @@ def test_standing_things_do_not_move_when_the_robot_does(seed: int) -> None:
     ]
     for tick in range(30):
         measured = depth(boxes, pose) * rng.normal(1.0, 0.01, (60, 80))
-        made.look(pose, measured.astype(np.float32), MOUNT)
-        ahead, left = made.seen_from(0.0)
+        made.observe(pose, measured.astype(np.float32), MOUNT)
+        ahead, left = made.in_robot_axes(0.0)
         assert np.hypot(ahead, left)[made.moving].min(initial=9.0) > 1.5
         pose = moved(pose, Atom.RIGHT if tick < 4 else Atom.FORWARD, 0.8)
 
@@ -169,7 +171,7 @@ def drive(boxes: Sequence[Box], ticks: int = 400) -> tuple[np.ndarray, int]:
     blocked = 0
     poses = [pose]
     for _ in range(ticks):
-        around.look(pose, depth(boxes, pose), MOUNT)
+        around.observe(pose, depth(boxes, pose), MOUNT)
         x = np.arange(pose[0] + 1.4, min(pose[0] + 7.8, END_M + 1.5), 0.35)
         c = math.cos(pose[2])
         s = math.sin(pose[2])
@@ -178,7 +180,7 @@ def drive(boxes: Sequence[Box], ticks: int = 400) -> tuple[np.ndarray, int]:
         )
         turn: float | None = math.atan2(way[0, 1], way[0, 0])
         if hit_m(around, way, around.body_m) < math.inf:
-            turn = turn_round(around, way, TURNS)
+            turn = best_turn(around, way, TURNS)
         if turn is None:
             blocked += 1
             continue
@@ -217,11 +219,11 @@ def test_robot_turns_back_when_it_faces_away_from_an_obstacle(heading: float) ->
     box: Box = (2.2, -0.3, 2.8, 0.5, 1.0)
     made = around(box)
     pose = (0.0, 0.0, heading)
-    made.look(pose, depth([box], pose), MOUNT)
+    made.observe(pose, depth([box], pose), MOUNT)
     c = math.cos(heading)
     s = math.sin(heading)
     way = np.stack([np.arange(1.4, 7.8, 0.35), np.zeros(19)], axis=1) @ np.array([[c, -s], [s, c]])
-    turn = turn_round(made, way, TURNS)
+    turn = best_turn(made, way, TURNS)
     assert turn is not None
     assert abs(heading + turn) < 0.8
 
@@ -238,7 +240,7 @@ def test_taught_way_is_free_when_it_is_narrow(evades: bool, follows: bool) -> No
     aside_m = MOUNT.radius_m + 0.04
     made = around((2.5, aside_m, 3.0, 3.0, 1.0))
     way = np.stack([np.arange(1.4, 7.8, 0.35), np.zeros(19)], axis=1)
-    turn = way_round(made, way, TURNS, 0.01, evades)
+    turn = detour_turn(made, way, TURNS, 0.01, evades)
     assert (turn == 0.01) == follows
 
 
@@ -254,4 +256,4 @@ def test_a_way_costs_no_memory_when_it_lies_far_away(far_m: float) -> None:
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 80), (2, 80), (60, 1)])
 def test_image_of_few_pixels_shows_nothing(shape: tuple[int, int]) -> None:
-    assert not Surroundings(MOUNT.radius_m).look(HERE, np.ones(shape, dtype=np.float32), MOUNT)
+    assert not Surroundings(MOUNT.radius_m).observe(HERE, np.ones(shape, dtype=np.float32), MOUNT)

@@ -95,7 +95,7 @@ def test_a_file_keeps_the_ground_and_one_without_it_is_read(tmp_path: Path) -> N
         read = Model.load(tmp_path / "way.smal").ground
         assert (read is None) == (ground is None)
         assert read is None or ground is None or np.array_equal(read.colours, ground.colours)
-    with pytest.raises(ValueError, match="does not know how the ground looks"):
+    with pytest.raises(ValueError, match="has no ground"):
         Robot(Model.load(tmp_path / "way.smal"), watches=True)
     harmed = Ground(np.zeros((3, 5, 3), np.uint8), 0.1)
     with pytest.raises(ValueError, match="other keyframes than the map"):

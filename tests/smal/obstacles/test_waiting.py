@@ -23,9 +23,9 @@ def looks(*views: list[Box]) -> Surroundings:
     """Come from two metres back, see nothing but the first view, and then look at each."""
     made = Surroundings(MOUNT.radius_m)
     for x in np.arange(-2.0, 0.0, 0.2):
-        made.look((x, 0.0, 0.0), depth(views[0], (x, 0.0, 0.0)), MOUNT)
+        made.observe((x, 0.0, 0.0), depth(views[0], (x, 0.0, 0.0)), MOUNT)
     for boxes in views:
-        made.look((0.0, 0.0, 0.0), depth(boxes, (0.0, 0.0, 0.0)), MOUNT)
+        made.observe((0.0, 0.0, 0.0), depth(boxes, (0.0, 0.0, 0.0)), MOUNT)
     return made
 
 
@@ -36,7 +36,7 @@ def waits(planner: Planner, ticks: int) -> list[Decision]:
     decisions = []
     for _ in range(ticks):
         pose = (0.0, 0.0, heading)
-        made.look(pose, depth([WALL], pose), MOUNT)
+        made.observe(pose, depth([WALL], pose), MOUNT)
         decisions.append(
             planner.decide(belief((HERE, 0.0, 0.0, math.degrees(heading))), around=made)
         )
@@ -92,7 +92,7 @@ def test_robot_makes_room_for_people_only() -> None:
     motions = []
     for _ in range(round(1.9 * PLANNER_CONFIG.waits_s / 0.1)):
         pose = (x, 0.0, 0.0)
-        made.look(pose, depth([WALL, somebody], pose), MOUNT)
+        made.observe(pose, depth([WALL, somebody], pose), MOUNT)
         motions.append(planner.decide(belief((HERE, x, 0.0, 0.0)), around=made).motion)
         x += 0.04 * motions[-1][0]
     assert (
@@ -164,5 +164,5 @@ def test_robot_drives_on_when_its_wheels_turn() -> None:
     planner = Planner(map_of(16.0))
     made = looks([])
     for x in np.arange(0.0, 4.0, 0.1):
-        made.look((x, 0.0, 0.0), depth([], (x, 0.0, 0.0)), MOUNT)
+        made.observe((x, 0.0, 0.0), depth([], (x, 0.0, 0.0)), MOUNT)
         assert planner.decide(belief((HERE, x, 0.0, 0.0)), around=made).motion[0] > 0.0

@@ -155,5 +155,5 @@ def test_traverse_is_nowhere_when_it_runs_off_the_end() -> None:
     belief = chain.first()
     for here in range(10, 20):
         ratios = np.where(np.arange(20) == here, 1e4, 1.0).astype(np.float32)
-        belief = chain.seen(chain.ahead(belief), ratios)
+        belief = chain.weighed(chain.ahead(belief), ratios)
     assert chain.at_references(chain.ahead(belief))[1] > 0.9

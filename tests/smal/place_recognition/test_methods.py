@@ -1,7 +1,5 @@
 """Every method of the table on one made-up road, and the paper's against the program that it states."""
 
-import math
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -9,9 +7,10 @@ from numpy.typing import NDArray
 from smal import solve
 from smal.features import FeatureSettings
 from smal.paper.phase import matched_phase
+from smal.paper.state_matching import usual_lambda
 from smal.place_recognition.matches import NONE, ignore
 from smal.place_recognition.methods import METHODS, MatchSettings, Method
-from smal.place_recognition.paper_matching import LAMBDA_SCALE, match_as_in_the_paper
+from smal.place_recognition.paper_matching import match_as_in_the_paper
 from tests.smal.place_recognition.traverses import Road, Walk
 from tests.smal.worlds import unit
 
@@ -82,7 +81,7 @@ def test_paper_is_eq_7_of_the_same_window(length: int) -> None:
     )  # two frames are in no whole sequence at l = 4
     queries = unit(references[5:25] + 0.1 * rng.normal(size=(20, 32))).astype(np.float32)
     matches = match_as_in_the_paper(references, queries, length, ignore)
-    penalty = LAMBDA_SCALE * math.sqrt(length)
+    penalty = usual_lambda(length)
     templates = references[: 42 // length * length].T
     for query in range(length - 1, 20):
         window = queries[query + 1 - length : query + 1].T

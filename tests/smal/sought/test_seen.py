@@ -60,9 +60,9 @@ def sight() -> Sight:
 
 @pytest.mark.parametrize(("step", "aside"), [(STEPS - 1.4, 0), (STEPS - 2.6, 6), (STEPS - 0.8, -9)])
 def test_target_is_seen_from_new_places_and_missed_when_absent(step: float, aside: int) -> None:
-    assert Witness(sight()).look(view(step, ORANGE, BLUE, aside=aside)).probability > 0.99
-    assert Witness(sight()).look(view(step)).probability < 0.1
-    assert Witness(sight()).look(view(step, GREY, (200, 40, 160), aside=aside)).probability < 0.5
+    assert Witness(sight()).observe(view(step, ORANGE, BLUE, aside=aside)).probability > 0.99
+    assert Witness(sight()).observe(view(step)).probability < 0.1
+    assert Witness(sight()).observe(view(step, GREY, (200, 40, 160), aside=aside)).probability < 0.5
 
 
 def test_target_is_the_boxed_thing_alone() -> None:
@@ -72,25 +72,25 @@ def test_target_is_the_boxed_thing_alone() -> None:
     learned = learn_sight([replace(taught(ORANGE, BLUE), box=box)])
     assert learned is not None
     for colours, seen in (((ORANGE, BLUE), True), ((GREY, BLUE), True), ((ORANGE, GREY), False)):
-        assert (Witness(learned).look(view(STEPS - 1.4, *colours)).probability > 0.99) == seen
-    assert Witness(sight()).look(view(STEPS - 1.4, ORANGE, GREY)).probability > 0.99, (
+        assert (Witness(learned).observe(view(STEPS - 1.4, *colours)).probability > 0.99) == seen
+    assert Witness(sight()).observe(view(STEPS - 1.4, ORANGE, GREY)).probability > 0.99, (
         "both are, without a box"
     )
 
 
 def test_target_is_not_seen_on_the_way() -> None:
-    seen = [Witness(sight()).look(view(step + 0.5)) for step in range(STEPS - 20)]
+    seen = [Witness(sight()).observe(view(step + 0.5)) for step in range(STEPS - 20)]
     assert max(one.probability for one in seen) < 0.5
     assert max(one.near for one in seen) < 0.5
 
 
 def test_it_is_seen_in_half_the_light() -> None:
-    assert Witness(sight()).look(view(STEPS - 1.4, ORANGE, BLUE) // 2).probability > 0.99
+    assert Witness(sight()).observe(view(STEPS - 1.4, ORANGE, BLUE) // 2).probability > 0.99
 
 
 def test_target_is_near_when_it_is_as_large_as_taught() -> None:
     near = [
-        Witness(sight()).look(view(step, ORANGE, BLUE), place=((STEPS - step) / SPEED, 0.1)).near
+        Witness(sight()).observe(view(step, ORANGE, BLUE), place=((STEPS - step) / SPEED, 0.1)).near
         for step in (STEPS - 13, STEPS - 5, STEPS - 1.4)
     ]
     assert near == sorted(near)
@@ -101,7 +101,7 @@ def test_target_is_near_when_it_is_as_large_as_taught() -> None:
 @pytest.mark.parametrize("gain", [0.35, 0.7, 1.6])
 def test_target_is_found_near_when_the_light_differs(gain: float) -> None:
     light = np.clip(gain * view(STEPS - 1.4, ORANGE, BLUE).astype(float), 0, 255).astype(np.uint8)
-    glimpse = Witness(sight()).look(light)
+    glimpse = Witness(sight()).observe(light)
     assert glimpse.probability > PLANNER_CONFIG.in_view
     assert glimpse.near == pytest.approx(1.0, abs=0.2)
 
@@ -109,14 +109,14 @@ def test_target_is_found_near_when_the_light_differs(gain: float) -> None:
 def test_noise_is_no_evidence_when_all_is_unlike() -> None:
     rng = np.random.default_rng(0)
     views = (view(step) // 8 + rng.integers(0, 24, (*SHAPE, 3)) for step in range(0, STEPS, 4))
-    seen = [Witness(sight()).look(each.astype(np.uint8)).probability for each in views]
+    seen = [Witness(sight()).observe(each.astype(np.uint8)).probability for each in views]
     assert max(seen) < 0.5
 
 
 def test_place_corrects_the_distance_when_the_target_is_small() -> None:
     far = view(STEPS - 6, ORANGE, BLUE)
     by_view, at_end, before = (
-        Witness(sight()).look(far, place=place).near for place in (None, (0.0, 0.1), (9.0, 0.1))
+        Witness(sight()).observe(far, place=place).near for place in (None, (0.0, 0.1), (9.0, 0.1))
     )
     assert before < by_view < at_end < 1.0
 
@@ -124,9 +124,9 @@ def test_place_corrects_the_distance_when_the_target_is_small() -> None:
 def test_a_hidden_view_is_no_evidence() -> None:
     witness = Witness(sight())
     hidden = np.full((*SHAPE, 3), 30, np.uint8)
-    assert witness.look(hidden).probability == 0.5
-    found = witness.look(view(STEPS - 1.4, ORANGE, BLUE)).probability
-    assert witness.look(hidden).probability == found > 0.99
+    assert witness.observe(hidden).probability == 0.5
+    found = witness.observe(view(STEPS - 1.4, ORANGE, BLUE)).probability
+    assert witness.observe(hidden).probability == found > 0.99
 
 
 def test_no_target_is_learned_when_nothing_stands_out() -> None:

@@ -79,14 +79,14 @@ def test_a_tag_adds_to_how_its_place_looks() -> None:
     pictures = [view(at_end, (number, 5.5, 0.0)) for number in (AT_END, OTHER)]
     small = [cv2.resize(one, (80, 60), interpolation=cv2.INTER_AREA) for one in pictures]
     right, wrong = (
-        Witness(sight, word).look(one, 0.0, detect(two, READS))
+        Witness(sight, word).observe(one, 0.0, detect(two, READS))
         for one, two in zip(small, pictures, strict=True)
     )
     assert right.probability > 0.99
     assert right.near == pytest.approx(1.0, abs=0.1)
-    assert wrong.probability < Witness(sight).look(small[1]).probability
+    assert wrong.probability < Witness(sight).observe(small[1]).probability
     hidden = np.full_like(small[0], 30)
-    assert Witness(sight, word).look(hidden) == Witness(sight).look(hidden), (
+    assert Witness(sight, word).observe(hidden) == Witness(sight).observe(hidden), (
         "a hidden view is no evidence"
     )
 

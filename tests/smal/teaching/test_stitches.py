@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from smal.arrays import Floats, Indices
 from smal.features import Centering
 from smal.filter import Belief, Filter
 from smal.map import VisualMap, in_common_axes
@@ -86,6 +87,49 @@ def test_similar_places_are_not_joined_against_the_odometry() -> None:
     strange = views.copy()
     strange[(drives == 1) & ~np.isin(np.arange(len(drives)), ends[1])] *= -1
     assert joined_ends(replace(found, views=strange)) >= 12
+
+
+def spun(poses: Floats, keys: Indices, step_rad: float, alternates: bool = False) -> None:
+    """Turn the robot by a step before each of some keyframes, to one side or to alternate sides."""
+    numbers = np.arange(1, keys.size + 1)
+    poses[keys, 2] += step_rad * (numbers % 2 if alternates else numbers)
+
+
+@pytest.mark.parametrize("wheels", [1.0, 1.05])
+def test_drives_are_joined_again_after_they_turned_much(wheels: float) -> None:
+    """Between the shared places both robots turn twice round; the second counts a twentieth more."""
+    found, _ = two()
+    first, second = (np.flatnonzero(found.drives == number) for number in (0, 1))
+    keys = [np.flatnonzero(found.key_drives == number) for number in (0, 1)]
+    poses = found.poses.copy()
+    poses[second] = poses[first] + (0.0, 0.12, 0.0)
+    after = second[second >= found.keyframes[keys[1][-7]]]
+    pivot = poses[found.keyframes[keys[1][-8]]].copy()
+    net_rad = 2.0 * math.tau
+    wrong = np.array([0.0, 0.0, (wheels - 1.0) * net_rad])
+    poses[after] = placed(placed(seen_from(poses[after], pivot), wrong), pivot)
+    spun(poses, found.keyframes[keys[0][-11:-7]], net_rad / 5.0)
+    spun(poses, found.keyframes[keys[1][-11:-7]], wheels * net_rad / 5.0)
+    views = found.views.copy()
+    views[keys[1][-7:]] = views[keys[0][-7:]]
+    views[keys[0][-11:-7]] *= -1
+    joined = stitched(replace(found, views=views, poses=poses)).stitched
+    ends = np.concatenate([each[-7:] for each in keys])
+    assert np.isin(joined, ends).all(axis=1).sum() >= 10
+
+
+def test_similar_places_are_not_joined_after_a_winding_way() -> None:
+    """The error of many turns to and fro grows with the square root of their sum."""
+    found, _ = two()
+    keys = [np.flatnonzero(found.key_drives == number) for number in (0, 1)]
+    views = found.views.copy()
+    views[keys[1][-7:]] = views[keys[0][-7:]]
+    views[keys[0][-11:-7]] *= -1
+    poses = found.poses.copy()
+    for of_drive in keys:
+        spun(poses, found.keyframes[of_drive[-11:-7]], 3.0, alternates=True)
+    joined = stitched(replace(found, views=views, poses=poses)).stitched
+    assert not np.isin(joined, np.concatenate([each[-7:] for each in keys])).all(axis=1).any()
 
 
 @cache

@@ -274,8 +274,8 @@ def test_map_is_the_same_when_it_is_made_from_its_content() -> None:
         ("goals", lambda _: ("victim", "victim"), "goals"),
         ("stitched", lambda _: np.array([[0, 10**6]], dtype=np.int32), "stitched"),
         ("stitched", lambda _: np.array([[0, 1], [0, 1]], dtype=np.int32), "stitched"),
-        ("looks", lambda _: np.array([10**6], dtype=np.int32), "looks"),
-        ("looks", lambda _: np.zeros(4, dtype=np.int32), "looks"),
+        ("variants", lambda _: np.array([10**6], dtype=np.int32), "variants"),
+        ("variants", lambda _: np.zeros(4, dtype=np.int32), "variants"),
     ],
 )
 def test_map_is_refused_when_its_parts_do_not_fit(

@@ -19,7 +19,7 @@ from services.experiments.evaluation.report.summary import Recognized, Success
 from services.kit.jpeg import decode_jpeg
 from services.simulator.world import load_world
 from services.simulator.world.map_view import draw_map
-from smal.likelihood import evenly
+from smal.arrays import evenly
 
 VIEWS: Final = 6  # Camera images beside an example route.
 _PEERS: Final = {

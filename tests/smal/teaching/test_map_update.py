@@ -11,18 +11,18 @@ from smal.features import extract
 from smal.filter import Filter
 from smal.map import VisualMap
 from smal.model import Model
-from smal.teaching import living
+from smal.teaching import map_update
 from smal.teaching.demonstration import Demonstration
-from smal.teaching.living import compared, lived, taken_up, whole_runs
+from smal.teaching.map_update import compared, update_map, whole_runs, with_view_variants
 from tests.smal.synthetic_world import CAMERA, COLOR, START, Drive, Image, Room, drive, usual_map
 
-#: How a map follows a run is the same each time, and takes most of the time.
-followed = cache(living.follow)
+#: Localising a run takes most of the time, and always gives the same.
+localised = cache(map_update.localise)
 
 
 @pytest.fixture(autouse=True)
-def followed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(living, "follow", followed)
+def localised_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(map_update, "localise", localised)
 
 
 @cache
@@ -53,16 +53,16 @@ def run(paint: int, new: float, aside: float = 0.05) -> Demonstration:
     )
 
 
-def looks_of(mapped: VisualMap) -> int:
-    return int(np.bincount(mapped.looks, minlength=1).max())
+def variants_of(mapped: VisualMap) -> int:
+    return int(np.bincount(mapped.variants, minlength=1).max())
 
 
-def test_changed_places_get_a_look_that_fits_the_day() -> None:
-    grown = taken_up(model(), [run(7, 0.6)])
+def test_changed_places_get_a_variant_that_fits_the_day() -> None:
+    grown = with_view_variants(model(), [run(7, 0.6)])
     taught = model().mapped
     count = len(taught.keyframes)
-    assert 0 < len(grown.mapped.looks) <= count
-    assert looks_of(grown.mapped) == 1
+    assert 0 < len(grown.mapped.variants) <= count
+    assert variants_of(grown.mapped) == 1
     np.testing.assert_array_equal(grown.mapped.views[:count], taught.views)
     that_day = [run(7, 0.6, aside) for aside in (-0.05, 0.1)]
     verdict = compared(model(), grown, that_day)
@@ -73,27 +73,27 @@ def test_changed_places_get_a_look_that_fits_the_day() -> None:
 
 
 def test_taught_day_teaches_nothing_new() -> None:
-    assert taken_up(model(), [run(0, 0.0)]) is model()
-    unchanged, verdict = lived(model(), [run(0, 0.0), run(0, 0.0, -0.05)])
+    assert with_view_variants(model(), [run(0, 0.0)]) is model()
+    unchanged, verdict = update_map(model(), [run(0, 0.0), run(0, 0.0, -0.05)])
     assert unchanged is model()
     assert not verdict.better
 
 
 def test_second_half_of_the_runs_decides() -> None:
-    better, verdict = lived(model(), [run(7, 0.6, aside) for aside in (0.05, -0.05, 0.1, 0.0)])
+    better, verdict = update_map(model(), [run(7, 0.6, aside) for aside in (0.05, -0.05, 0.1, 0.0)])
     assert verdict.better
-    assert len(better.mapped.looks) > 0
-    with pytest.raises(ValueError, match="two runs or more"):
-        lived(model(), [run(7, 0.6)])
+    assert len(better.mapped.variants) > 0
+    with pytest.raises(ValueError, match="too few runs"):
+        update_map(model(), [run(7, 0.6)])
 
 
-def test_looks_are_bounded_and_keep_the_taught_one() -> None:
+def test_variants_are_bounded_and_keep_the_taught_one() -> None:
     taught = model().mapped
-    taught = replace(taught, config=replace(taught.config, looks=2))
-    once = taken_up(Model(model().centering, taught), [run(7, 0.6)]).mapped
-    twice = taken_up(Model(model().centering, once), [run(8, 0.6)]).mapped
-    assert looks_of(twice) == 1
-    assert len(twice.looks) >= len(once.looks)
+    taught = replace(taught, config=replace(taught.config, most_variants=2))
+    once = with_view_variants(Model(model().centering, taught), [run(7, 0.6)]).mapped
+    twice = with_view_variants(Model(model().centering, once), [run(8, 0.6)]).mapped
+    assert variants_of(twice) == 1
+    assert len(twice.variants) >= len(once.variants)
     np.testing.assert_array_equal(twice.views[: len(taught.keyframes)], taught.views)
     # What explains nothing of that day goes: at least one place looks like it now.
     rows = len(taught.keyframes)
@@ -104,13 +104,13 @@ def test_looks_are_bounded_and_keep_the_taught_one() -> None:
 
 def test_failed_run_or_run_without_images_teaches_nothing() -> None:
     assert whole_runs([replace(run(7, 0.6), successful=False)]) == []
-    assert taken_up(model(), [replace(run(7, 0.6), camera=None)]) is model()
+    assert with_view_variants(model(), [replace(run(7, 0.6), camera=None)]) is model()
 
 
 def test_belief_is_unchanged_when_a_view_variant_is_a_copy() -> None:
     taught = model().mapped
     keys = np.arange(0, len(taught.keyframes), 3, dtype=np.int32)
-    twice = replace(taught, views=np.concatenate([taught.views, taught.views[keys]]), looks=keys)
+    twice = replace(taught, views=np.concatenate([taught.views, taught.views[keys]]), variants=keys)
     one = Filter(taught, model().centering)
     other = Filter(twice, model().centering)
     for raw in run(0, 0.0).features[:20]:
@@ -120,15 +120,15 @@ def test_belief_is_unchanged_when_a_view_variant_is_a_copy() -> None:
         assert after.evidence == pytest.approx(before.evidence, abs=1e-6)
 
 
-def test_looks_lead_to_their_keyframes_on_a_long_way() -> None:
+def test_variants_lead_to_their_keyframes_on_a_long_way() -> None:
     taught = model().mapped
     middle = taught.config.views_a_length // 2
     keys = np.arange(middle, len(taught.keyframes), taught.config.views_a_length, dtype=np.int32)
-    # The looks of each place are what was taught of the next one.
+    # The variant of each place is the taught view of the next place.
     twice = replace(
         taught,
         views=np.concatenate([taught.views, taught.views[np.roll(keys, -1)]]),
-        looks=keys,
+        variants=keys,
         config=replace(taught.config, looked_at=taught.config.views_a_length),
     )
     view = twice.sample[0] * 0.0 + np.asarray(twice.views[keys[1], 1, 8], dtype=np.float32)

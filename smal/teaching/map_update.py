@@ -2,7 +2,7 @@
 
 A place looks different on another day. If a run was certain of its place although the view contradicted it, its frame
 becomes a view variant of the keyframe: the same virtual views, warped from the robot's pose. Views are compared with
-the best variant of each place. A keyframe has `MapConfig.looks` variants at most. Of more, the variant with the least
+the best variant of each place. A keyframe has `MapConfig.most_variants` at most. Of more, the variant with the least
 loss for the views of these runs is removed, never the taught one. So the size of the map is bounded.
 
 The new map is accepted only if runs that were not used for learning are at least as likely under it (`compared`).
@@ -35,11 +35,11 @@ from smal.teaching.mapping import virtual_poses
 #: Accepted loss of log likelihood of a view under a new map: a hundredth of the information of views.
 _MAY_LOSE: Final = 0.05
 #: Maximum distance of the frame of a view variant from its keyframe, in correlation lengths.
-_LOOK_FROM: Final = 0.5
+_VARIANT_FROM: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
+class LocalisedRun:
     """A run of f frames, as localised on a map."""
 
     #: (f,) the most likely keyframe.
@@ -49,7 +49,7 @@ class Followed:
     #: (f,) probability of being within a correlation length of it.
     sure: Floats
     #: (f,) log likelihood ratio of the view at the place, if all of what was taught is visible.
-    says: Floats
+    log_ratio: Floats
     #: (f,) log likelihood ratio of the view, given all views before, to a view of elsewhere.
     evidence: Floats
     #: Frame of the announced arrival; f without any.
@@ -80,7 +80,7 @@ def whole_runs(runs: Sequence[Demonstration]) -> list[Demonstration]:
     return [run for _, run in drives_to_goals(runs)]
 
 
-def follow(model: Model, run: Demonstration) -> Followed:
+def localise(model: Model, run: Demonstration) -> LocalisedRun:
     """Localise a recorded run; ValueError if the map does not have its goal."""
     localizer = Localizer(model)
     taught = model.mapped
@@ -99,11 +99,11 @@ def follow(model: Model, run: Demonstration) -> Followed:
         components = taught.described(model.centering.apply(raw))
         z = over(np.array(belief.cosine), *scale(taught.sample @ components))
         sure = (1.0 - belief.lost) * summary.share(_near(taught, key))
-        log_ratio = float(taught.likelihood.of(z))
-        rows.append((key, *summary.offsets[0], sure, log_ratio, belief.evidence))
-    key, ahead, left, turned, sure, says, evidence = np.array(rows).T
+        of_view = float(taught.likelihood.of(z))
+        rows.append((key, *summary.offsets[0], sure, of_view, belief.evidence))
+    key, ahead, left, turned, sure, log_ratio, evidence = np.array(rows).T
     offsets = np.stack([ahead, left, turned], axis=1)
-    return Followed(key.astype(np.intp), offsets, sure, says, evidence, arrived)
+    return LocalisedRun(key.astype(np.intp), offsets, sure, log_ratio, evidence, arrived)
 
 
 def _near(taught: VisualMap, key: int) -> Bools:
@@ -114,7 +114,7 @@ def _near(taught: VisualMap, key: int) -> Bools:
     return near
 
 
-def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
+def with_view_variants(model: Model, runs: Iterable[Demonstration]) -> Model:
     """Return the model with new view variants from unexpected views of runs, at most one a keyframe.
 
     A view is unexpected if it is evidence against the certain place where it was seen. Without such
@@ -126,32 +126,32 @@ def taken_up(model: Model, runs: Iterable[Demonstration]) -> Model:
     for run in runs:
         if run.camera is None:
             continue
-        followed = follow(model, run)
-        for frame in np.flatnonzero(followed.sure > PLANNER_CONFIG.arrived).tolist():
-            key = int(followed.keyframes[frame])
-            offset = followed.offsets[frame]
+        localised = localise(model, run)
+        for frame in np.flatnonzero(localised.sure > PLANNER_CONFIG.arrived).tolist():
+            key = int(localised.keyframes[frame])
+            offset = localised.offsets[frame]
             view = taught.described(model.centering.apply(run.features[frame]))
             views_of.setdefault(key, []).append(view)
             off = taught.lengths(Movement(math.hypot(*offset[:2]), float(offset[2])))
-            nearest_off = nearest[key][0] if key in nearest else _LOOK_FROM
-            if followed.says[frame] < 0.0 and off < nearest_off:
+            nearest_off = nearest[key][0] if key in nearest else _VARIANT_FROM
+            if localised.log_ratio[frame] < 0.0 and off < nearest_off:
                 nearest[key] = off, run, frame, offset
     if not nearest:
         return model
-    looks = in_parallel(lambda key: _look(model, *nearest[key][1:]), sorted(nearest))
-    views = np.concatenate([taught.views, np.stack(list(looks))])
-    keys = np.append(taught.looks, sorted(nearest))
+    variants = in_parallel(lambda key: _variant(model, *nearest[key][1:]), sorted(nearest))
+    views = np.concatenate([taught.views, np.stack(list(variants))])
+    keys = np.append(taught.variants, sorted(nearest))
     first = len(taught.keyframes)
     rows = []
-    for key in np.flatnonzero(np.bincount(keys) == taught.config.looks).tolist():
-        variants = np.append(key, first + np.flatnonzero(keys == key))
-        rows.append(_least(views, variants, views_of[key]))
+    for key in np.flatnonzero(np.bincount(keys) == taught.config.most_variants).tolist():
+        of_key = np.append(key, first + np.flatnonzero(keys == key))
+        rows.append(_least(views, of_key, views_of[key]))
     kept = np.delete(keys, np.array(rows, dtype=np.intp) - first)
-    grown = replace(taught, views=np.delete(views, rows, axis=0), looks=kept.astype(np.int32))
+    grown = replace(taught, views=np.delete(views, rows, axis=0), variants=kept.astype(np.int32))
     return replace(model, mapped=grown)
 
 
-def _look(model: Model, run: Demonstration, frame: int, offset: Floats) -> Int8s:
+def _variant(model: Model, run: Demonstration, frame: int, offset: Floats) -> Int8s:
     """Return the virtual views (3, turns, r) of a keyframe, warped from a frame beside it."""
     taught = model.mapped
     image = cast("Sequence[Image]", run.images)[frame]
@@ -182,8 +182,8 @@ def compared(old: Model, new: Model, runs: Iterable[Demonstration]) -> Verdict:
     gains = []
     false_goals = 0
     for run in runs:
-        before = follow(old, run)
-        after = follow(new, run)
+        before = localise(old, run)
+        after = localise(new, run)
         poses = run.odometry
         if poses is None:
             poses = dead_reckoning(run.atoms, taught.movements)
@@ -191,16 +191,16 @@ def compared(old: Model, new: Model, runs: Iterable[Demonstration]) -> Verdict:
         parts = max(int(way / (taught.config.mended * taught.correlation_length)), 1)
         stretches = np.array_split(after.evidence - before.evidence, parts)
         gains += [float(stretch.mean()) for stretch in stretches]
-        # Too early: the way goes on for longer than twice the distance within which a goal is near.
-        most = 2.0 * PLANNER_CONFIG.goal_s * taught.speed
-        too_early = [_from_end(poses, followed.arrived) > most for followed in (before, after)]
+        # Too early: the way goes on for longer than the usual distance of "found".
+        most = PLANNER_CONFIG.found_s * taught.speed
+        too_early = [_from_end(poses, localised.arrived) > most for localised in (before, after)]
         false_goals += too_early == [False, True]
     count = len(gains)
     mean = float(np.mean(gains))
     least = -math.inf
     if count > 1:
         margin = stdtrit(count - 1, 0.95) * np.std(gains, ddof=1) / math.sqrt(count)
-        least = float(np.mean(gains) - margin)
+        least = float(mean - margin)
     return Verdict(count, mean, least, false_goals)
 
 
@@ -210,7 +210,7 @@ def _from_end(poses: Floats, frame: int) -> float:
     return float(np.hypot(*apart))
 
 
-def lived(
+def update_map(
     model: Model,
     runs: Sequence[Demonstration],
     progress: Callable[[int, int], None] = lambda _done, _total: None,
@@ -231,7 +231,8 @@ def lived(
     """
     if len(runs) < 2:
         raise ValueError(
-            "it takes two runs or more that ended at the goal: one half teaches, the other half judges"
+            f"too few runs that ended at a goal ({len(runs)} < minimum 2): one half of the runs "
+            "teaches, the other half confirms; record more runs"
         )
     check_features(runs, model.feature_settings.size)
     numbers = iter(range(len(runs)))
@@ -241,7 +242,7 @@ def lived(
             progress(next(numbers), len(runs))
             yield run
 
-    new = taken_up(model, counted(runs[::2]))
+    new = with_view_variants(model, counted(runs[::2]))
     if new is model:
         return model, Verdict(0, 0.0, 0.0, 0)
     verdict = compared(model, new, counted(runs[1::2]))
