@@ -15,7 +15,7 @@ from schemas.codec import printable
 from services.cli import options, outputs
 from services.experiments.progress import Bars
 from services.experiments.words import remark
-from services.importers.job import FORMATS, ImportJob, ImportReport, check_format
+from services.importers.job import FORMATS, ROTATIONS_DEG, ImportJob, ImportReport, check_format
 from services.importers.run import MOST_MEMORY
 from services.importers.ticks import QUANTILE
 from services.kit.errors import JobError, UsageError
@@ -36,6 +36,10 @@ class Part:
     camera: Annotated[
         str | None, Option(help="Image topic of a bag, or image feature of LeRobot.")
     ] = None
+    rotate_deg: Annotated[
+        int,
+        Option("--rotate", metavar="DEG", help="Clockwise turn of all images: 90, 180 or 270."),
+    ] = 0
     velocity: Annotated[str | None, Option(help="Source of the velocities; see above.")] = None
     episodes: Annotated[
         list[str] | None,
@@ -124,8 +128,9 @@ def import_recordings(
 
     Recordings have 10 frames per second at any source rate. Velocities become the actions forward,
     backward, left, right and stop; --still and --turning set the limits as fractions of the robot's
-    nominal speed and turn rate. Omitted data are reported with their count. JPEG images are copied
-    unchanged. Files outside PATH are never read.
+    nominal speed and turn rate. Omitted data are reported with their count. Upright JPEG images are
+    copied unchanged; other formats and EXIF orientations are converted and counted. Files outside
+    PATH are never read.
 
     Example: smal import donkeycar tub --rate 20 --to 25 --out drives
     """
@@ -133,6 +138,8 @@ def import_recordings(
     outputs.check_file(json_file, "--json")
     if part.to_s <= part.from_s:
         raise UsageError(f"--to {part.to_s:g}: not after --from {part.from_s:g}")
+    if part.rotate_deg not in ROTATIONS_DEG:
+        raise UsageError(f"--rotate {part.rotate_deg}: unsupported; choose 90, 180 or 270")
     with outputs.workshop(out, "--out") as folder:
         asked = asdict(part) | asdict(scale) | {"episodes": tuple(part.episodes or ())}
         asked["reckon"] = not asked.pop("no_odometry")

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from schemas.camera import CompressedImage
 from services.importers.drive import Array, Image, ImportedDrive, ImportFailure, NotAnImage, Tally
 from services.importers.inside import Inside
-from services.kit.jpeg import MOST_PIXELS, decode_image_file, encode_jpeg, is_jpeg
+from services.kit.jpeg import MOST_PIXELS, encode_jpeg, is_jpeg
+from services.kit.pixels import ENCODINGS, FORMATS, decode_file, is_upright, rgb_of
 
 MOST_BYTES: Final = CompressedImage.max_bytes - 2**16  # Maximum size of an image file, bytes.
 _MOST: Final = (4096, 3072)  # Maximum columns and rows of a recorded image.
@@ -20,28 +21,43 @@ _LEAST: Final = (32, 24)  # Minimum columns and rows for features.
 #: Maximum rate of robot cameras: higher rates are the times of copying the data set.
 _FASTEST_HZ: Final = 120.0
 _UNREAD: Final = "images cannot be read"
-_JPEG: Final = b"\xff\xd8"
-_PNG: Final = b"\x89PNG\r\n\x1a\n"
+_CONVERTED: Final = "images of the format {} are converted to JPEG"
+_PNG: Final = b"\x89PNG"
+_DEPTH_HEADER: Final = 12  # Bytes before the PNG of a depth image that ROS compressed.
 
 
-def as_jpeg(data: bytes) -> bytes:
-    """Return a JPEG or PNG file as JPEG; raises `NotAnImage` if it does not decode."""
+def as_jpeg(data: bytes, tally: Tally) -> bytes:
+    """Return an image file as an upright JPEG; raises `NotAnImage` if it does not decode."""
     if len(data) > MOST_BYTES:
         raise NotAnImage("images are larger than 16 MiB")
-    if not data.startswith((_JPEG, _PNG)):
-        raise NotAnImage("images are neither JPEG nor PNG")
-    # OpenCV allocates what the header claims, and libpng logs a PNG without an end.
-    width = int.from_bytes(data[16:20], "big")
-    height = int.from_bytes(data[20:24], "big")
-    png = data[12:16] == b"IHDR" and 0 < width * height <= MOST_PIXELS and b"IEND" in data[-16:]
-    sound = png if data.startswith(_PNG) else is_jpeg(data)
-    pixels = decode_image_file(data) if sound else None
+    form = next((name for start, name in FORMATS.items() if data.startswith(start)), "other")
+    pixels = decode_file(data) if form != "JPEG" or is_jpeg(data) else None
     if pixels is None:
-        raise NotAnImage("images are damaged")
-    if data.startswith(_PNG):
-        return raw_as_jpeg(pixels)
-    _check_size(pixels)
-    return data
+        raise NotAnImage("images are damaged, or have a format that OpenCV cannot decode")
+    if form == "JPEG" and is_upright(data):
+        _check_size(pixels)
+        return data
+    upright = "images are turned upright by their EXIF orientation"
+    tally.count(upright if form == "JPEG" else _CONVERTED.format(form))
+    return raw_as_jpeg(pixels)
+
+
+def ros_as_jpeg(image: Any, tally: Tally) -> bytes:  # noqa: ANN401 - its class is made of its definition
+    """Return a `CompressedImage` or an `Image` of ROS as JPEG; raises `NotAnImage` if invalid."""
+    if hasattr(image, "format"):
+        data = bytes(image.data)
+        if data.startswith(_PNG, _DEPTH_HEADER):
+            tally.say("images show depth (compressedDepth); choose the colour images with --camera")
+            data = data[_DEPTH_HEADER:]
+        return as_jpeg(data, tally)
+    if image.encoding not in ENCODINGS:
+        raise NotAnImage(f"images have the unsupported encoding {image.encoding or '(empty)'}")
+    try:
+        pixels = rgb_of(image)
+    except ValueError:
+        raise NotAnImage("images are damaged") from None
+    tally.count(_CONVERTED.format(image.encoding))
+    return raw_as_jpeg(pixels)
 
 
 def raw_as_jpeg(pixels: NDArray[np.uint8]) -> bytes:
@@ -96,7 +112,7 @@ def drive_of(
 
 def _image(inside: Inside, name: str, tally: Tally) -> bytes:
     try:
-        return as_jpeg(inside.read(name, MOST_BYTES))
+        return as_jpeg(inside.read(name, MOST_BYTES), tally)
     except ImportFailure as error:
         # One remark names the reason.
         if not tally.counts[_UNREAD]:

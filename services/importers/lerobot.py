@@ -238,7 +238,7 @@ class _DataSet:
 
     def _embedded(self, episode: _Episode, _times_s: Array) -> Iterator[Image]:
         for batch in _batches(self._inside, episode.data, [self._camera], episode.number, _IMAGES):
-            yield from (partial(_cell, cell) for cell in batch.column(self._camera))
+            yield from (partial(_cell, cell, self._tally) for cell in batch.column(self._camera))
 
 
 def _camera(info: _Info, job: ImportJob, called: str) -> str:
@@ -285,12 +285,12 @@ def _plain(name: str) -> str:
     return re.sub(r"[.\s/_]+", "_", name.strip().lower())
 
 
-def _cell(cell: Any) -> bytes:  # noqa: ANN401 - of a package without types
+def _cell(cell: Any, tally: Tally) -> bytes:  # noqa: ANN401 - of a package without types
     value = cell.as_py()
     data = value.get("bytes") if isinstance(value, dict) else value
     if not isinstance(data, bytes):
         raise NotAnImage("images are not in the Parquet file")
-    return as_jpeg(data)
+    return as_jpeg(data, tally)
 
 
 def _batches(

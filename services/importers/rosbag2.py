@@ -30,11 +30,10 @@ from services.importers.drive import (
     NotAnImage,
     Tally,
 )
-from services.importers.images import as_jpeg, raw_as_jpeg
+from services.importers.images import ros_as_jpeg
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
 from services.kit.cameras import camera_of_ros
-from services.kit.ros_message import ENCODINGS, rgb_of
 from services.recordings.records import MAGIC, mapped, records
 from smal.camera import Camera
 
@@ -325,7 +324,7 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     tally.say(f"images from {printable(image)}, velocities from {printable(velocity)}")
 
     def images() -> Iterator[Image]:
-        return (partial(_image, message) for message in received(inside, Tally(), image))
+        return (partial(_image, message, tally) for message in received(inside, Tally(), image))
 
     return [
         ImportedDrive.of_rows(
@@ -350,18 +349,9 @@ def _list(topics: Collection[str]) -> str:
     return printable(", ".join(list(topics)[:10])) or "none"
 
 
-def _image(message: Received) -> bytes:
+def _image(message: Received, tally: Tally) -> bytes:
     try:
         image = _decoded(message)
-        if message.type == COMPRESSED:
-            return as_jpeg(bytes(image.data))
-        if image.encoding not in ENCODINGS:
-            raise NotAnImage(
-                "images have an unsupported encoding (supported: 8 bits of RGB, BGR, grey, YUV "
-                "4:2:2)"
-            )
-        return raw_as_jpeg(
-            rgb_of(image.encoding, image.width, image.height, image.step, image.data)
-        )
-    except ValueError as error:
-        raise error if isinstance(error, NotAnImage) else NotAnImage("images are damaged") from None
+    except ValueError:
+        raise NotAnImage("images are damaged") from None
+    return ros_as_jpeg(image, tally)

@@ -4,10 +4,11 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
-from services.importers.drive import Tally
+from services.importers.drive import ImportFailure, Tally
 from services.importers.job import ImportJob, ImportReport
 from services.importers.run import run
 from services.recordings.dataset import Teacher
@@ -74,6 +75,7 @@ BAGS: dict[str, Callable[[Path], Path]] = {
     "rgb8": partial(sources.rosbag2, raw="rgb8"),
     "bgr8": partial(sources.rosbag2, raw="bgr8"),
     "yuv422": partial(sources.rosbag2, raw="yuv422"),
+    "webp": partial(sources.rosbag2, suffix=".webp"),
 }
 
 
@@ -98,6 +100,42 @@ def test_bag_file_is_imported_when_camera_is_grey(suffix: str, tmp_path: Path) -
     assert report.ticks == len(MADE)
     pixels = decode_image(bytes(episode_of(report).images[0]))
     assert np.abs(pixels[..., 0].astype(int) - pixels[..., 2]).max() <= 2
+
+
+def test_import_names_the_format_of_images(tmp_path: Path) -> None:
+    for how, named in (
+        ({"suffix": ".webp"}, f"{len(MADE)} images of the format WebP are converted to JPEG"),
+        ({"raw": "bgr8"}, f"{len(MADE)} images of the format bgr8 are converted to JPEG"),
+        (
+            {"suffix": "depth"},
+            "images show depth (compressedDepth); choose the colour images with --camera",
+        ),
+    ):
+        bag = sources.rosbag2(tmp_path / named[:40] / "bag", **how)
+        assert named in imported(bag, "rosbag2", tmp_path / "out")[1].lines()
+    bag = sources.rosbag2(tmp_path / "bag", raw="32FC1")
+    with pytest.raises(ImportFailure, match="images have the unsupported encoding 32FC1"):
+        imported(bag, "rosbag2", tmp_path / "out")
+
+
+@pytest.mark.parametrize("rotate_deg", [90, 180, 270])
+def test_image_stands_upright_when_it_is_rotated(rotate_deg: int, tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set", 10.0, png=True)
+    for file in folder.glob("*.png"):
+        lying = np.rot90(cv2.imread(str(file)), rotate_deg // 90)
+        cv2.imwrite(str(file), lying)
+    report, _ = imported(folder, "folder", tmp_path / "out", rotate_deg=rotate_deg)
+    check_drive(episode_of(report))
+
+
+def test_calibration_is_rotated_with_its_images(tmp_path: Path) -> None:
+    report, _ = imported(
+        sources.rosbag2(tmp_path / "bag"), "rosbag2", tmp_path / "out", rotate_deg=90
+    )
+    camera = episode_of(report).camera
+    # The principal point was 32 of 64 columns and 20 of 48 rows: the rows become the columns.
+    assert (camera.width, camera.height, camera.focal_px) == (48, 64, pytest.approx(45.0))
+    assert (camera.centre_x_px, camera.centre_y_px) == pytest.approx((28.0, 32.0))
 
 
 def test_a_bag_without_commands_has_those_of_its_odometry(tmp_path: Path) -> None:
