@@ -125,4 +125,5 @@ def is_upright(jpeg: bytes) -> bool:
     if b"Exif\0\0" not in jpeg[:_EXIF_WITHIN]:
         return True
     stored = decoded(jpeg, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    return stored is not None and np.array_equal(stored, decoded(jpeg, cv2.IMREAD_COLOR))
+    shown = decoded(jpeg, cv2.IMREAD_COLOR)
+    return stored is None or shown is None or np.array_equal(stored, shown)

@@ -166,13 +166,10 @@ def read_color(picture: Picture) -> NDArray[np.uint8] | None:
     if rgb is None:
         return None
     height, width = rgb.shape[:2]
-    if height < LEAST_ROWS or width < LEAST_COLUMNS:
-        rgb = cv2.resize(
-            rgb,
-            (max(width, LEAST_COLUMNS), max(height, LEAST_ROWS)),
-            interpolation=cv2.INTER_LINEAR,
-        )
-    return np.asarray(rgb, dtype=np.uint8)
+    if height >= LEAST_ROWS and width >= LEAST_COLUMNS:
+        return rgb
+    size = max(width, LEAST_COLUMNS), max(height, LEAST_ROWS)
+    return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
 
 
 def read_depth(picture: Picture) -> NDArray[np.uint16] | None:
