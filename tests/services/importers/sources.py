@@ -5,6 +5,7 @@ import json
 import math
 import shutil
 from collections.abc import Callable
+from datetime import datetime
 from functools import wraps
 from hashlib import sha256
 from pathlib import Path
@@ -144,6 +145,26 @@ def write_tub(
         last,
     ]
     (folder / "manifest.json").write_text("\n".join(map(json.dumps, manifest)) + "\n")
+    return folder
+
+
+@made_once
+def first_tub(folder: Path, rate_hz: float = 20.0, *, time: str = "milliseconds") -> Path:
+    """Write a tub of version 1, with a date, milliseconds or no time in each record."""
+    folder.mkdir(parents=True)
+    inputs = ["cam/image_array", "user/angle", "user/throttle", "user/mode"]
+    meta = {"inputs": inputs, "types": ["image_array", "float", "float", "str"]}
+    (folder / "meta.json").write_text(json.dumps(meta))
+    for index, moment in enumerate(drive(rate_hz), 1):
+        name = f"{index}_cam-image_array_.jpg"
+        (folder / name).write_bytes(encode_jpeg(moment.image))
+        values = [name, *KEYS_OF_CAR[moment.atom], "user"]
+        times = {
+            "milliseconds": round(1000 * (moment.time_s - START_S)),
+            "timestamp": str(datetime.fromtimestamp(moment.time_s)),
+        }
+        record = dict(zip(inputs, values, strict=True)) | {time: times.get(time)}
+        (folder / f"record_{index}.json").write_text(json.dumps(record))
     return folder
 
 

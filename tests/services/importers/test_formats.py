@@ -1,5 +1,6 @@
 """Every format gives the drive that was put in: its views, its movements, where it went."""
 
+import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -224,6 +225,66 @@ def test_a_tub_with_the_times_of_its_copying_wants_a_rate(tmp_path: Path) -> Non
     with pytest.raises(Exception, match="333 frames per second"):
         imported(tub, "donkeycar", tmp_path / "out")
     check_drive(episode_of(imported(tub, "donkeycar", tmp_path / "out", rate_hz=20.0)[0]))
+
+
+@pytest.mark.parametrize("time", ["milliseconds", "timestamp"])
+def test_tub_of_version_1_is_imported(time: str, tmp_path: Path) -> None:
+    tub = sources.first_tub(tmp_path / "tub", time=time)
+    (tub / "exclude.json").write_text("[1, 2]")
+    report, tally = imported(tub, "donkeycar", tmp_path / "out", reckon=False)
+    (tub / "exclude.json").unlink()
+    assert "2 records were deleted by their owner" in tally.lines()
+    check_drive(episode_of(imported(tub, "donkeycar", tmp_path / "whole")[0]))
+
+
+def test_tub_wants_a_rate_when_it_has_no_times(tmp_path: Path) -> None:
+    tub = sources.first_tub(tmp_path / "tub", time="none")
+    with pytest.raises(ImportFailure, match="if it has no times, give the frame rate with --rate"):
+        imported(tub, "donkeycar", tmp_path / "out")
+    check_drive(episode_of(imported(tub, "donkeycar", tmp_path / "out", rate_hz=20.0)[0]))
+
+
+def test_tub_has_two_drives_when_it_was_appended(tmp_path: Path) -> None:
+    tub = sources.first_tub(tmp_path / "tub")
+    for index in range(41, FRAMES + 1):
+        file = tub / f"record_{index}.json"
+        record = json.loads(file.read_text())
+        file.write_text(json.dumps(record | {"milliseconds": record["milliseconds"] - 1950}))
+    report, _ = imported(tub, "donkeycar", tmp_path / "out")
+    assert len(report.files) == 2
+    assert report.ticks == len(MADE)
+
+
+def test_each_tub_of_a_folder_is_a_drive(tmp_path: Path) -> None:
+    car = tmp_path / "mycar"
+    check = {"data/tub_1_18-05-05": sources.first_tub, "data/new": sources.donkeycar}
+    for name, write in check.items():
+        write(car / name)
+    (car / "data/broken").mkdir()
+    (car / "data/broken/manifest.json").write_text("[]")
+    report, tally = imported(car, "donkeycar", tmp_path / "out")
+    assert [Path(file).name[:16] for file in report.files] == [
+        "data-new-" + Path(report.files[0]).name[9:16],
+        "data-tub-1-18-05",
+    ]
+    for file in report.files:
+        check_drive(episode_of(file))
+    (broken,) = [line for line in tally.lines() if "broken" in line]
+    assert "the manifest of a tub of version 2 has five lines" in broken
+
+
+def test_fields_of_a_tub_are_those_of_its_manifest(tmp_path: Path) -> None:
+    tub = sources.donkeycar(tmp_path / "tub")
+    for file in tub.glob("*.*"):
+        text = file.read_text().replace("user/angle", "steering").replace("cam/image_array", "eye")
+        file.write_text(text.replace("user/throttle", "throttle"))
+    check_drive(episode_of(imported(tub, "donkeycar", tmp_path / "out")[0]))
+    for file in tub.glob("*.*"):
+        file.write_text(file.read_text().replace("steering", "wheel"))
+    with pytest.raises(ImportFailure, match="steering: 0 fields found; choose from eye, wheel, th"):
+        imported(tub, "donkeycar", tmp_path / "out")
+    named = imported(tub, "donkeycar", tmp_path / "named", velocity="wheel, throttle")
+    check_drive(episode_of(named[0]))
 
 
 @pytest.mark.parametrize(("rate_hz", "png"), [(20.0, True), (30.0, False)])
