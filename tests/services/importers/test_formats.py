@@ -170,6 +170,35 @@ def test_a_lerobot_data_set_is_imported(version: str, video: bool, tmp_path: Pat
     assert [Path(file).name[:2] for file in report.files] == ["1-"]
 
 
+LEKIWI = ["arm_wrist.pos", "x.vel", "y.vel", "theta.vel"]
+
+
+@pytest.mark.parametrize(
+    ("names", "fields"),
+    [
+        ([LEKIWI], {}),
+        ({"motors": LEKIWI}, {}),
+        ({"arm": LEKIWI[:1], "base": LEKIWI[1:]}, {}),
+        ({name: index for index, name in enumerate(LEKIWI)}, {}),
+        (["arm", "linear.x", "linear.y", "angular.z"], {"turn_rate": float(np.radians(1.0))}),
+        (["arm", "base_vx", "base_vy", "base_omega"], {"turn_rate": float(np.radians(1.0))}),
+        ([["arm", "go", "side", "turn"]], {"velocity": "go,turn"}),
+        (None, {"velocity": "1,3"}),
+    ],
+    ids=["nested", "motors", "parts", "numbered", "twist", "base", "named", "none"],
+)
+def test_velocities_are_found_by_their_names(
+    names: object, fields: dict[str, object], tmp_path: Path
+) -> None:
+    dataset = sources.lerobot(tmp_path / "set", video=False, episodes=1)
+    info = json.loads((dataset / "meta/info.json").read_text())
+    info["features"]["action"]["names"] = names
+    (dataset / "meta/info.json").write_text(json.dumps(info))
+    if "velocity" in fields:
+        fields = fields | {"turn_rate": float(np.radians(1.0))}
+    check_drive(episode_of(imported(dataset, "lerobot", tmp_path / "out", **fields)[0]))
+
+
 def test_dataset_counts_sideways_when_velocities_are_named(
     tmp_path: Path,
 ) -> None:
@@ -231,7 +260,7 @@ def test_a_tub_with_the_times_of_its_copying_wants_a_rate(tmp_path: Path) -> Non
 def test_tub_of_version_1_is_imported(time: str, tmp_path: Path) -> None:
     tub = sources.first_tub(tmp_path / "tub", time=time)
     (tub / "exclude.json").write_text("[1, 2]")
-    report, tally = imported(tub, "donkeycar", tmp_path / "out", reckon=False)
+    _, tally = imported(tub, "donkeycar", tmp_path / "out", reckon=False)
     (tub / "exclude.json").unlink()
     assert "2 records were deleted by their owner" in tally.lines()
     check_drive(episode_of(imported(tub, "donkeycar", tmp_path / "whole")[0]))

@@ -208,7 +208,11 @@ def test_import_counts_invalid_numbers_of_a_tub(field: str, tmp_path: Path) -> N
         ('"fps": 20', '"fps": 0', "fps: "),
         ('"fps": 20', '"fps": 1e400', "fps: "),
         ('"chunks_size": 1000', '"chunks_size": 0', "chunks_size: "),
-        ('"theta.vel"', '"elbow"', "no linear and angular velocity of a base in action or obser"),
+        (
+            '"theta.vel"',
+            '"elbow"',
+            "no linear and angular velocity of a base in action: arm_wrist.pos, x.vel",
+        ),
         ('"video"', '"float32"', "0 cameras (none)"),
         ('"features"', '"feature"', "features: Field required"),
         (f'"{CAMERA}"', '"../../../../secret"', "lacks the column"),
