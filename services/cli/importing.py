@@ -34,7 +34,7 @@ class Part:
         bool | None, Option("--succeeded/--failed", help="Whether the drives reached the goal.")
     ] = None
     camera: Annotated[
-        str | None, Option(help="Image topic of a bag, or image feature of LeRobot.")
+        str | None, Option(help="Image topic, image feature or field, or folder of images.")
     ] = None
     rotate_deg: Annotated[
         int,
@@ -117,14 +117,15 @@ def import_recordings(
 
     rosbag2: a ROS 2 bag (MCAP or SQLite) with images and Twist, TwistStamped or Odometry. A bag is
     one drive; import several bags into one OUT one by one. lerobot: a LeRobotDataset (v2.0, v2.1,
-    v3.0) of a mobile base. donkeycar: a tub of version 2. folder: images and a drive.csv with the
-    columns image, time_s, linear_m_s, angular_rad_s (optional: episode, success, x_m, y_m,
-    heading_rad).
+    v3.0) of a mobile base. donkeycar: a tub of version 1 or 2, or a folder of tubs. folder: images,
+    or one video, and a drive.csv with the columns image (without a video), time_s, linear_m_s,
+    angular_rad_s (optional: episode, success, x_m, y_m, heading_rad; these poses can replace the
+    velocities); or a data set in the layout of TUM, KITTI or EuRoC with poses.
 
     Drives count as successful unless the source or --failed says otherwise. --velocity is the topic
-    of a bag, or LINEAR,ANGULAR of a LeRobot action. A speed of 1 means 1 m/s (donkeycar: unknown).
-    A turn rate of 1 means 1 rad/s (x.vel and theta.vel: 1 degree/s). --rate replaces wrong times of
-    a source.
+    of a bag, LINEAR,ANGULAR of LeRobot (names or numbers), or STEERING,THROTTLE of a tub. A speed
+    of 1 means 1 m/s (donkeycar: unknown). A turn rate of 1 means 1 rad/s (theta.vel: 1 degree/s).
+    --rate replaces wrong times of a source.
 
     Recordings have 10 frames per second at any source rate. Velocities become the actions forward,
     backward, left, right and stop; --still and --turning set the limits as fractions of the robot's

@@ -49,6 +49,13 @@ class _Meta(BaseModel):
     types: list[str]
 
 
+#: Fields of a tub that lists none.
+_USUAL: Final = _Meta(
+    inputs=["cam/image_array", "user/angle", "user/throttle"],
+    types=["image_array", "float", "float"],
+)
+
+
 class _Strings(RootModel[list[str]]):
     """A line of a manifest."""
 
@@ -92,6 +99,11 @@ class _Tub(NamedTuple):
     announced: int | None = None  # Number of records, if the tub has one.
 
 
+def found(inside: Inside) -> bool:
+    """Return whether a folder is a tub, or has tubs."""
+    return inside.is_folder and any(True for _ in _tubs(inside))
+
+
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     """Read the tubs of a folder; each session is a drive, and so is a tub without sessions."""
     folders = list(_tubs(inside))
@@ -103,7 +115,7 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
         except ImportFailure as error:
             failures.append(str(error))
     if not drives:
-        missing = f"{inside.path}: no tub in this folder (neither {_MANIFEST} nor {_META})"
+        missing = f"{inside.path}: no tub in this folder (neither {_MANIFEST} nor record_*.json)"
         raise ImportFailure([*failures, missing][0])
     for failure in failures:
         tally.say(failure)
@@ -116,7 +128,7 @@ def _tubs(inside: Inside, folder: str = "") -> Iterator[str]:
     if _MANIFEST in names or any(map(_RECORD.fullmatch, names)):
         yield folder
     elif folder.count("/") < _DEEPEST:
-        for name in names:
+        for name in inside.folders(folder):
             yield from _tubs(inside, f"{folder}{name}/")
 
 
@@ -125,17 +137,17 @@ def _drives(inside: Inside, folder: str, job: ImportJob, tally: Tally) -> list[I
     tub = form(inside, folder, tally)
     fields = _fields(tub.meta, job, inside.called(folder))
     sessions: dict[str, list[Row]] = {}
-    found = 0
-    for found, stored in enumerate(tub.stored, 1):
-        if found > MOST_SAMPLES:
+    count = 0
+    for count, stored in enumerate(tub.stored, 1):
+        if count > MOST_SAMPLES:
             raise ImportFailure(
                 f"{inside.called(folder)}: too large (more than {MOST_SAMPLES} records)"
             )
         record = _record(inside, stored, fields, job, tally)
         if record is not None and _is_usable(record, tub.deleted, tally):
             sessions.setdefault(record.session, []).append(_row(record, tub.images, job))
-    if tub.announced not in (None, found):
-        tally.say(f"the manifest announces {tub.announced} records, the catalogs have {found}")
+    if tub.announced not in (None, count):
+        tally.say(f"the manifest announces {tub.announced} records, the catalogs have {count}")
     if not sessions:
         raise ImportFailure(
             f"{inside.called(folder)}: no record in this tub has {', '.join(fields)} and a time; "
@@ -175,7 +187,7 @@ def _version_2(inside: Inside, folder: str, tally: Tally) -> _Tub:
         for line in inside.lines(path)
         if line.strip()
     )
-    meta = _Meta(inputs=inputs, types=types)
+    meta = _Meta(inputs=inputs, types=types) if inputs else _USUAL
     return _Tub(stored, f"{folder}images/", meta, catalogs.deleted_indexes, catalogs.current_index)
 
 
@@ -184,12 +196,14 @@ def _version_1(inside: Inside, folder: str, _tally: Tally) -> _Tub:
     indexes = sorted(int(found[1]) for found in map(_RECORD.fullmatch, names) if found)
     named = ((index, f"{folder}record_{index}.json") for index in indexes)
     stored = (_Stored(name, inside.read(name), {"_index": index}) for index, name in named)
-    meta = f"{folder}{_META}"
-    excluded = f"{folder}{_EXCLUDED}"
+    meta = _USUAL
+    if _META in names:
+        meta = inside.parsed(_Meta, inside.read(f"{folder}{_META}"), f"{folder}{_META}")
     deleted = set[int]()
     if _EXCLUDED in names:
+        excluded = f"{folder}{_EXCLUDED}"
         deleted = inside.parsed(_Indexes, inside.read(excluded), excluded).root
-    return _Tub(stored, folder, inside.parsed(_Meta, inside.read(meta), meta), deleted)
+    return _Tub(stored, folder, meta, deleted)
 
 
 def _fields(meta: _Meta, job: ImportJob, called: str) -> tuple[str, str, str]:

@@ -1,18 +1,24 @@
-"""Conversion of foreign images and videos to JPEG; JPEG files are copied unchanged."""
+"""Conversion of foreign images to JPEG; upright JPEG files are copied unchanged."""
 
-import math
-from collections.abc import Iterator, Sequence
-from contextlib import closing
+from collections.abc import Sequence
 from functools import partial
-from typing import IO, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.camera import CompressedImage
-from services.importers.drive import Array, Image, ImportedDrive, ImportFailure, NotAnImage, Tally
+from services.importers.drive import (
+    Images,
+    ImportedDrive,
+    ImportFailure,
+    NotAnImage,
+    Rows,
+    Tally,
+)
 from services.importers.inside import Inside
-from services.kit.jpeg import MOST_PIXELS, encode_jpeg, is_jpeg
+from services.importers.trajectory import motion_along
+from services.kit.jpeg import encode_jpeg, is_jpeg
 from services.kit.pixels import ENCODINGS, FORMATS, decode_file, is_upright, rgb_of
 
 MOST_BYTES: Final = CompressedImage.max_bytes - 2**16  # Maximum size of an image file, bytes.
@@ -77,7 +83,7 @@ class Row(NamedTuple):
 
     image: str
     time_s: float
-    velocity: tuple[float, float]
+    velocity: tuple[float, float] | None
     pose: tuple[float, float, float] | None = None
 
 
@@ -99,66 +105,29 @@ def drive_of(
             f"{inside.path}: invalid times ({said}), as in a copied data set; give the frame "
             "rate with --rate, for example --rate 20"
         )
-    motion = [(row.time_s, *row.velocity) for row in rows]
-    track = [(row.time_s, *row.pose) for row in rows if row.pose is not None]
-
-    def images() -> Iterator[Image]:
-        return (partial(_image, inside, row.image, tally) for row in rows)
-
+    images = files([row.image for row in rows], inside, tally)
     return ImportedDrive.of_rows(
-        name, times_s, images, motion, track, tally, success=success, metric=metric
+        name, times_s, images, *moved(rows), tally, success=success, metric=metric
     )
+
+
+def moved(rows: Sequence[Row]) -> tuple[Rows, Rows]:
+    """Return the motion and the track of frames; without velocities the poses give the motion."""
+    motion = [(row.time_s, *row.velocity) for row in rows if row.velocity is not None]
+    track = [(row.time_s, *row.pose) for row in rows if row.pose is not None]
+    return motion or motion_along(np.array(track).reshape(-1, 4)), track
+
+
+def files(names: Sequence[str], inside: Inside, tally: Tally) -> Images:
+    """Return the image files of a folder as JPEG."""
+    return lambda: (partial(_image, inside, name, tally) for name in names)
 
 
 def _image(inside: Inside, name: str, tally: Tally) -> bytes:
     try:
-        return as_jpeg(inside.read(name, MOST_BYTES), tally)
+        return as_jpeg(inside.read(inside.spelled(name), MOST_BYTES), tally)
     except ImportFailure as error:
         # One remark names the reason.
         if not tally.counts[_UNREAD]:
             tally.say(str(error))
         raise NotAnImage(_UNREAD) from None
-
-
-def frames_at(file: IO[bytes], called: str, times_s: Array, tolerance_s: float) -> Iterator[Image]:
-    """Yield the frame of an MP4 nearest to each time, ascending; ImportFailure if unreadable."""
-    import av  # noqa: PLC0415 - of the extra `formats`
-
-    try:
-        # From the open file only: a playlist disguised as MP4 can name other files.
-        with closing(av.open(file, mode="r", format="mp4")) as container:
-            if not container.streams.video:
-                raise ImportFailure(f"{called}: no video")
-            stream = container.streams.video[0]
-            if stream.codec_context.width * stream.codec_context.height > MOST_PIXELS:
-                raise ImportFailure(f"{called}: too large (more than {MOST_PIXELS} pixels)")
-            stream.thread_type = "NONE"
-            stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
-            if times_s[0] > 0.0 and stream.time_base:
-                container.seek(
-                    math.floor(times_s[0] / float(stream.time_base)), stream=stream, backward=True
-                )
-            yield from _nearest(container.decode(stream), times_s, tolerance_s)
-    except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:
-        reason = getattr(error, "strerror", None) or type(error).__name__
-        raise ImportFailure(f"{called}: not a readable video: {reason}") from None
-
-
-def _nearest(frames: Iterator[Any], times_s: Array, tolerance_s: float) -> Iterator[Image]:
-    held = None
-    following = next(frames, None)
-    for time_s in times_s.tolist():
-        while following is not None and _off(following, time_s) <= _off(held, time_s):
-            held = following
-            following = next(frames, None)
-        yield partial(_frame, held if _off(held, time_s) <= tolerance_s else None)
-
-
-def _off(frame: Any, time_s: float) -> float:  # noqa: ANN401 - of a package without types
-    return math.inf if frame is None or frame.time is None else abs(float(frame.time) - time_s)
-
-
-def _frame(frame: Any) -> bytes:  # noqa: ANN401 - as above
-    if frame is None:
-        raise NotAnImage("frames are not in the video")
-    return raw_as_jpeg(np.asarray(frame.to_ndarray(format="rgb24"), dtype=np.uint8))

@@ -19,9 +19,10 @@ from services.importers.drive import (
     NotAnImage,
     Tally,
 )
-from services.importers.images import as_jpeg, frames_at
+from services.importers.images import as_jpeg
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
+from services.importers.videos import frames_at
 
 #: Metres and radians per second, and the pose by odometry, in our own data sets.
 VELOCITIES: Final = ("linear_velocity", "angular_velocity")
@@ -112,6 +113,11 @@ class _Velocity(NamedTuple):
     sideways: int | None
     metres: float
     radians: float
+
+
+def found(inside: Inside) -> bool:
+    """Return whether a folder is a data set."""
+    return INFO.rpartition("/")[2] in inside.names(INFO.rpartition("/")[0])
 
 
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:

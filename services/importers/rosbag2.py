@@ -37,6 +37,7 @@ from services.kit.cameras import camera_of_ros
 from services.recordings.records import MAGIC, mapped, records
 from smal.camera import Camera
 
+_SUFFIXES: Final = (".mcap", ".db3")
 _ZSTD: Final = b"\x28\xb5\x2f\xfd"
 #: Largest message: a raw image of 4096x3072x4 and its header.
 _MOST_BYTES: Final = 4 * 4096 * 3072 + 2**20
@@ -81,13 +82,12 @@ def received(inside: Inside, tally: Tally, topic: str | None = None) -> Iterator
 
 
 def _files(inside: Inside) -> list[str]:
-    suffixes = (".mcap", ".db3")
     if not inside.is_folder:
-        if inside.path.suffix not in suffixes:
+        if inside.path.suffix not in _SUFFIXES:
             raise ImportFailure(f"{inside.path}: not a bag (a folder, or a file *.mcap or *.db3)")
         return [""]
     names = inside.names()
-    found = sorted((name for name in names if name.endswith(suffixes)), key=_by_number)
+    found = sorted((name for name in names if name.endswith(_SUFFIXES)), key=_by_number)
     if not found:
         bags = [name for name in names if "metadata.yaml" in inside.names(name)]
         more = [f"; {printable(name)} in it is a bag: import each bag separately" for name in bags]
@@ -305,6 +305,12 @@ def _keep(kept: dict[str, list[Any]], topic: str, sample: Any) -> None:  # noqa:
     if len(samples) >= MOST_SAMPLES:
         raise ImportFailure(f"{printable(topic)}: too large (more than {MOST_SAMPLES} messages)")
     samples.append(sample)
+
+
+def found(inside: Inside) -> bool:
+    """Return whether a file is a bag, or a folder has bags."""
+    names = inside.names() if inside.is_folder else [inside.path.name]
+    return any(name.endswith(_SUFFIXES) for name in names)
 
 
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from schemas.base import ATOMS
+from schemas.codec import printable
 from services.importers.drive import ImportedDrive, ImportFailure, Tally
 from services.importers.inside import Inside
 from services.importers.job import FORMATS, Format, ImportJob, ImportReport, OdometryOrigin
@@ -54,8 +55,7 @@ def run(
 
 
 def _drives(job: ImportJob, tally: Tally) -> list[ImportedDrive]:
-    reader = importlib.import_module(f"services.importers.{_READERS[job.format]}")
-    every: list[ImportedDrive] = reader.read(Inside(Path(job.path)), job, tally)
+    every = _read(Inside(Path(job.path)), job, tally)
     drives = [drive for drive in every if not job.episodes or drive.name in job.episodes]
     if not drives:
         names = ", ".join(drive.name for drive in every[:10]) or "none"
@@ -63,6 +63,30 @@ def _drives(job: ImportJob, tally: Tally) -> list[ImportedDrive]:
             f"{job.path}: episodes {', '.join(job.episodes)} not found; choose from {names}"
         )
     return drives
+
+
+def _reader(form: Format) -> Any:  # noqa: ANN401 - a module
+    return importlib.import_module(f"services.importers.{_READERS[form]}")
+
+
+def _read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
+    """Read a source; an error about another format names what is there."""
+    reader = _reader(job.format)
+    read: Callable[[Inside, ImportJob, Tally], list[ImportedDrive]] = reader.read
+    if reader.found(inside):
+        return read(inside, job, tally)
+    if others := [form for form in FORMATS if _reader(form).found(inside)]:
+        raise ImportFailure(
+            f"{inside.path}: not of the format {job.format}; run: smal import {others[0]} "
+            f"{inside.path}"
+        )
+    names = inside.names() if inside.is_folder else [inside.path.name]
+    kinds = Counter(Path(name).suffix or "(no suffix)" for name in names).most_common(5)
+    named = printable(", ".join(f"{count} {kind}" for kind, count in kinds)) or "none"
+    try:
+        return read(inside, job, tally)
+    except ImportFailure as error:
+        raise ImportFailure(f"{error}; files there: {named}") from None
 
 
 def _report(

@@ -358,6 +358,25 @@ FORMATS: dict[str, Callable[[Path], Path]] = {
 }
 
 
+@pytest.mark.parametrize("form", FORMATS)
+def test_refusal_names_the_command_for_another_format(form: str, tmp_path: Path) -> None:
+    source = FORMATS[form](tmp_path / "source")
+    other = "folder" if form != "folder" else "lerobot"
+    with pytest.raises(
+        ImportFailure, match=f"not of the format {other}; run: smal import {form} /"
+    ):
+        imported(source, other, tmp_path / "out")
+
+
+def test_refusal_names_the_files_that_are_there(tmp_path: Path) -> None:
+    for name in ("a.jpg", "b.jpg", "c.txt"):
+        (tmp_path / name).touch()
+    with pytest.raises(
+        ImportFailure, match=r"CSV files to choose from; files there: 2 .jpg, 1 .txt"
+    ):
+        imported(tmp_path, "folder", tmp_path.parent / "out")
+
+
 @pytest.mark.parametrize("form", ["donkeycar", "rosbag2"])
 def test_imported_drive_teaches_localisation(form: str, tmp_path: Path) -> None:
     report, _ = imported(FORMATS[form](tmp_path / "source"), form, tmp_path / "out")
