@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from io import BufferedIOBase
 from pathlib import Path
-from typing import Final, Generic, NamedTuple, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 import osmium
@@ -135,7 +135,9 @@ def read_osm(path: Path, around: MapSurroundings | None = None) -> Extract:
         _check_size(extract)
     except WorldError as error:
         raise WorldError(f"{path}: {error}") from None
-    except (RuntimeError, OSError, ValueError, EOFError, zlib.error) as error:
+    except (
+        RuntimeError, OSError, ValueError, EOFError, zlib.error, osmium.InvalidLocationError,
+    ) as error:  # fmt: skip
         raise WorldError(
             f"{path}: not a readable OpenStreetMap file ({printable(str(error))})"
         ) from error
@@ -168,7 +170,7 @@ class _Found:
             self._way(number, refs, tags)
         return processor.header.box()
 
-    def _take(self, element: osmium.osm.OSMObject, tags: Tags) -> None:
+    def _take(self, element: osmium.osm.OSMObject[Any], tags: Tags) -> None:
         if isinstance(element, osmium.osm.Node):
             self._node(element, tags)
         elif isinstance(element, osmium.osm.Way):
