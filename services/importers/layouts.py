@@ -1,12 +1,12 @@
 """Drives in the layouts of TUM, KITTI and EuRoC: images with times, and poses.
 
 Poses give the velocities. TUM has ``rgb.txt`` and poses in a text file of eight numbers a line;
-KITTI ``times.txt``, folders of images and ``poses.txt``, or ``sequences`` and ``poses``; EuRoC
-``mav0`` with a ``data.csv`` in the folder of each sensor.
+KITTI ``times.txt``, folders of images and ``poses.txt``, or ``sequences`` and ``poses``, or, as
+raw data, ``oxts``; EuRoC ``mav0`` with a ``data.csv`` in the folder of each sensor.
 """
 
 from collections.abc import Iterator, Sequence
-from io import BytesIO
+from datetime import datetime
 from typing import Final
 
 import numpy as np
@@ -23,11 +23,13 @@ _RGB: Final = "rgb.txt"
 _TIMES: Final = "times.txt"
 _SEQUENCES: Final = "sequences"
 _MAV: Final = "mav0"
+_OXTS: Final = "oxts"  # Satellite positions and orientations of KITTI, a file for each image.
+_EARTH_M: Final = 6_378_137.0
 
 
 def found(inside: Inside) -> bool:
     """Return whether a folder has one of these layouts."""
-    return any(name in inside.names() for name in (_RGB, _TIMES, _SEQUENCES, _MAV))
+    return any(name in inside.names() for name in (_RGB, _TIMES, _SEQUENCES, _MAV, _OXTS))
 
 
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
@@ -37,6 +39,8 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
         return [_tum(inside, tally)]
     if _MAV in names:
         return [_euroc(inside, job, tally)]
+    if _OXTS in names:
+        return [_kitti_raw(inside, job, tally)]
     if _TIMES in names:
         return [_kitti(inside, "", "poses.txt", job, tally)]
     return list(_sequences(inside, job, tally))
@@ -81,6 +85,33 @@ def _kitti(inside: Inside, folder: str, poses: str, job: ImportJob, tally: Tally
     return _drive(inside, folder, times_s[:count], images[:count], placed, tally)
 
 
+def _kitti_raw(inside: Inside, job: ImportJob, tally: Tally) -> ImportedDrive:
+    camera = _camera(inside, "", "image_", job)
+    images = [f"{camera}/data/{name}" for name in inside.names(f"{camera}/data")]
+    files_of_poses = [f"{_OXTS}/data/{name}" for name in inside.names(f"{_OXTS}/data")]
+    rows = np.concatenate(
+        [_table(inside, name, 6) for name in files_of_poses] or [np.zeros((0, 6))]
+    )
+    latitude, longitude = np.radians(rows[:, :2]).T
+    east = (longitude - longitude[:1]) * np.cos(latitude[:1])
+    places = np.column_stack([_EARTH_M * east, _EARTH_M * (latitude - latitude[:1]), rows[:, 2]])
+    turns = Rotation.from_euler("ZYX", rows[:, [5, 4, 3]]).as_quat()
+    poses = np.column_stack([_dates(inside, f"{_OXTS}/timestamps.txt", len(rows)), places, turns])
+    times_s = _dates(inside, f"{camera}/timestamps.txt", len(images))
+    return _drive(inside, "", times_s, images, poses, tally)
+
+
+def _dates(inside: Inside, name: str, count: int) -> Array:
+    """Return the times of a file of dates, seconds since 1970."""
+    try:
+        dates = [datetime.fromisoformat(line).timestamp() for line in _lines(inside, name)]
+    except (ValueError, OverflowError):
+        raise ImportFailure(f"{inside.called(name)}: lines are not dates and times") from None
+    if len(dates) != count:
+        raise ImportFailure(f"{inside.called(name)}: {len(dates)} times for {count} files")
+    return np.array(dates)
+
+
 def _euroc(inside: Inside, job: ImportJob, tally: Tally) -> ImportedDrive:
     camera = _camera(inside, f"{_MAV}/", "cam", job)
     listed = f"{_MAV}/{camera}/data.csv"
@@ -100,9 +131,10 @@ def _euroc(inside: Inside, job: ImportJob, tally: Tally) -> ImportedDrive:
 
 
 def _camera(inside: Inside, folder: str, start: str, job: ImportJob) -> str:
-    """Return the requested folder of images, or the only one, or the second colour one of KITTI."""
+    """Return the requested folder of images, or the usual one: the left colour camera of KITTI."""
     cameras = [name for name in inside.names(folder) if name.startswith(start)]
-    wanted = job.camera or ("image_2" if "image_2" in cameras else cameras[0] if cameras else "")
+    usual = [name for name in cameras if name in ("image_2", "image_02", "cam0")] or cameras
+    wanted = job.camera or [*usual, ""][0]
     if wanted not in cameras:
         named = printable(", ".join(cameras)) or "none"
         raise ImportFailure(
@@ -143,10 +175,9 @@ def _times(inside: Inside, name: str, delimiter: str | None = None) -> Array:
 
 def _table(inside: Inside, name: str, width: int, delimiter: str | None = None) -> Array:
     """Return the first columns of a text file of numbers, (n, width)."""
+    rows = [line.split(delimiter)[:width] for line in _lines(inside, name)]
     try:
-        return np.loadtxt(
-            BytesIO(inside.read(name)), usecols=range(width), delimiter=delimiter, ndmin=2
-        ).reshape(-1, width)
+        return np.array(rows, dtype=np.float64).reshape(-1, width)
     except ValueError as error:
         raise ImportFailure(
             f"{inside.called(name)}: not a table of {width} numbers: {printable(str(error))[:200]}"

@@ -75,6 +75,24 @@ def kitti_sequences(folder: Path) -> Path:
     return folder
 
 
+def kitti_raw(folder: Path) -> Path:
+    """Write raw data: positions by satellite, each in a file, and dates."""
+    moments = sources.drive(20.0)
+    names = [f"{row:010d}" for row in range(len(moments))]
+    write_images(folder / "image_02/data", moments, [f"{name}.png" for name in names])
+    (folder / "oxts/data").mkdir(parents=True)
+    dates = [str(np.datetime64(round(one.time_s * 1e9), "ns")).replace("T", " ") for one in moments]
+    for sensor in ("image_02", "oxts"):
+        (folder / sensor / "timestamps.txt").write_text("\n".join(dates))
+    for moment, name in zip(moments, names, strict=True):
+        x, y, heading = moment.pose
+        north = 49.0 + np.degrees(y / 6_378_137.0)
+        east = 8.4 + np.degrees(x / 6_378_137.0 / np.cos(np.radians(49.0)))
+        row = [f"{north:.12f}", f"{east:.12f}", 116.4, 0.02, -0.01, heading, *[0.0] * 24]
+        (folder / f"oxts/data/{name}.txt").write_text(" ".join(map(str, row)))
+    return folder
+
+
 def euroc(folder: Path) -> Path:
     moments = sources.drive(20.0)
     stamps = [round(moment.time_s * 1e9) for moment in moments]
@@ -99,6 +117,7 @@ LAYOUTS: dict[str, Callable[[Path], Path]] = {
     "tum-markers": lambda path: tum(path, ANYHOW),
     "kitti": lambda path: kitti(path, "poses.txt"),
     "kitti-sequences": kitti_sequences,
+    "kitti-raw": kitti_raw,
     "euroc": euroc,
 }
 
