@@ -49,6 +49,11 @@ class Header(NamedTuple):
     frame: str
 
 
+def is_bag(name: str) -> bool:
+    """Return whether a file is part of a bag by its name."""
+    return _FILE.fullmatch(name) is not None
+
+
 def bags_of(inside: Inside) -> dict[str, list[str]]:
     """Return the files of each bag by its name: ``bag_0.mcap`` and ``bag_1.mcap`` are one bag."""
     if not inside.is_folder:

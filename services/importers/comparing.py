@@ -18,7 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.importers.drive import Array, Image, ImportedDrive, Tally, spans
-from services.importers.ticks import HOLD_S, LEAST_ANGULAR, LEAST_LINEAR, Moves, moving
+from services.importers.ticks import (
+    HOLD_S,
+    LEAST_ANGULAR,
+    LEAST_LINEAR,
+    Moves,
+    motion_along,
+    moving,
+)
 from services.importers.views import lateness_s, views_go_on
 from smal.movement import placed, seen_from, wrapped
 
@@ -66,14 +73,18 @@ def sound(drive: ImportedDrive, tally: Tally) -> list[ImportedDrive]:
 
 
 def _in_time(drive: ImportedDrive, tally: Tally) -> ImportedDrive:
-    """Return a drive whose images have the times at which the odometry moves as they do."""
+    """Return a drive whose images have the times at which the odometry moves as they do.
+
+    Without velocities, the motion is that of the odometry.
+    """
     late_s = lateness_s(drive)
     if late_s:
         tally.say(
             f"{drive.called}: the images are {late_s:.1f} s late, as the view turns after the "
             "odometry; aligned"
         )
-    return replace(drive, times_s=drive.times_s - late_s)
+    motion = drive.motion if len(drive.motion) else motion_along(drive.track)
+    return replace(drive, times_s=drive.times_s - late_s, motion=motion)
 
 
 def _without_pauses(drive: ImportedDrive, tally: Tally) -> ImportedDrive:

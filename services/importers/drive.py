@@ -48,7 +48,8 @@ class ImportedDrive:
     name: str  # Name in the source.
     times_s: Array  # (n,) of the frames.
     images: Images  # The n frames in order; each call returns new ones.
-    motion: Array  # (k, 3) time, speed ahead, turn rate counter-clockwise, ascending.
+    #: (k, 3) time, speed ahead, turn rate counter-clockwise, ascending; of the track if empty.
+    motion: Array
     #: (m, 4) time, x and y in metres, heading in radians, ascending: poses by odometry.
     track: Array = field(default_factory=lambda: np.zeros((0, 4)))
     success: bool | None = None  # Whether it reached its goal; None if unknown.

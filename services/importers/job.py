@@ -13,6 +13,8 @@ from services.kit.errors import UsageError
 
 Format = Literal["rosbag2", "rosbag1", "lerobot", "donkeycar", "folder"]
 FORMATS: Final[tuple[Format, ...]] = get_args(Format)
+Rotation = Literal[0, 90, 180, 270]
+ROTATIONS_DEG: Final[tuple[Rotation, ...]] = get_args(Rotation)
 #: Packages that a format needs.
 _PACKAGES: Final[dict[Format, tuple[str, ...]]] = {
     "rosbag2": ("rosbags",),
@@ -40,6 +42,7 @@ class ImportJob(Strict):
     still: _Fraction = STILL
     turning: _Fraction = TURNING
     camera: str | None = None
+    rotate_deg: Rotation = 0  # Clockwise.
     velocity: str | None = None
     odometry: str | None = None
     rate_hz: _Rate | None = None

@@ -10,17 +10,20 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from services.importers.bags import Received, bags_of, decoded, received, typestore
+from services.importers.bags import Received, bags_of, decoded, is_bag, received, typestore
 from services.importers.drive import Image, ImportedDrive, ImportFailure, NotAnImage, Tally
-from services.importers.images import as_jpeg, raw_as_jpeg
+from services.importers.images import ros_as_jpeg
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
-from services.importers.streams import COMPRESSED
 from services.importers.topics import Topics
-from services.kit.ros_message import ENCODINGS, rgb_of
 
 #: Largest number of images that wait for an image before them: two seconds at 60 Hz.
 _MOST_WAITING: Final = 120
+
+
+def found(inside: Inside) -> bool:
+    """Return whether a file is a bag, or a folder has bags."""
+    return any(map(is_bag, inside.names() if inside.is_folder else [inside.path.name]))
 
 
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
@@ -43,8 +46,8 @@ def _drive(
     return ImportedDrive.of_rows(
         name,
         images.times_s,
-        partial(_images, inside, files, images.numbers),
-        velocity.motion * scale,
+        partial(_images, inside, files, images.numbers, tally),
+        velocity.reported * scale,
         [] if odometry is None else odometry.track,
         tally,
         twist=np.zeros((0, 3)) if odometry is None else odometry.reported,
@@ -52,7 +55,9 @@ def _drive(
     )
 
 
-def _images(inside: Inside, files: list[str], numbers: NDArray[np.int64]) -> Iterator[Image]:
+def _images(
+    inside: Inside, files: list[str], numbers: NDArray[np.int64], tally: Tally
+) -> Iterator[Image]:
     """Yield the images with these numbers of messages, in this order."""
     wanted = set(numbers.tolist())
     waiting: dict[int, Image] = {}
@@ -61,7 +66,7 @@ def _images(inside: Inside, files: list[str], numbers: NDArray[np.int64]) -> Ite
     for number, message in enumerate(received(inside, files, Tally())):
         if number not in wanted:
             continue
-        waiting[number] = partial(_image, message)
+        waiting[number] = partial(_image, message, tally)
         if len(waiting) > _MOST_WAITING:
             raise ImportFailure(
                 f"{inside.path}: an image is more than {_MOST_WAITING} images late; "
@@ -72,18 +77,9 @@ def _images(inside: Inside, files: list[str], numbers: NDArray[np.int64]) -> Ite
             first = next(due, None)
 
 
-def _image(message: Received) -> bytes:
+def _image(message: Received, tally: Tally) -> bytes:
     try:
         image = decoded(message)
-        if message.type == COMPRESSED:
-            return as_jpeg(bytes(image.data))
-        if image.encoding not in ENCODINGS:
-            raise NotAnImage(
-                "images have an unsupported encoding (supported: 8 bits of RGB, BGR, grey, YUV "
-                "4:2:2)"
-            )
-        return raw_as_jpeg(
-            rgb_of(image.encoding, image.width, image.height, image.step, image.data)
-        )
-    except ValueError as error:
-        raise error if isinstance(error, NotAnImage) else NotAnImage("images are damaged") from None
+    except ValueError:
+        raise NotAnImage("images are damaged") from None
+    return ros_as_jpeg(image, tally)

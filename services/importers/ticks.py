@@ -180,10 +180,12 @@ def motion_along(track: Array) -> Array:
     """Return time, speed ahead and turn rate along poses (time, x, y, heading), each over a tick."""
     times_s = track[:, 0]
     after = np.searchsorted(times_s, times_s + TICK_S - _ROUNDING_S)
-    before = np.flatnonzero(after < times_s.size)
+    after = np.minimum(after, times_s.size - 1)
+    passed_s = times_s[after] - times_s
+    before = np.flatnonzero((passed_s > 0.0) & (passed_s <= HOLD_S))
     after = after[before]
     steps = seen_from(track[after, 1:], track[before, 1:])
-    rates = steps[:, [0, 2]] / (times_s[after] - times_s[before])[:, None]
+    rates = steps[:, [0, 2]] / passed_s[before, None]
     return np.column_stack([times_s[before], rates])
 
 

@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from services.importers.drive import Array, Image, ImportedDrive, NotAnImage
+from services.importers.drive import Array, Image, ImportedDrive
 from services.importers.ticks import tracked
-from services.kit.jpeg import decode_image_file, shrunk
+from services.kit.jpeg import decode_jpeg, shrunk
 from smal.movement import seen_from
 
 _THUMBNAIL: Final = 32  # Columns of a compared view.
@@ -103,10 +103,8 @@ def _goes_on(views: dict[int, Array], frames: range, at: int) -> bool:
 def _view(image: Image) -> Array | None:
     """Return a small grey view without brightness and contrast; None if it is damaged."""
     try:
-        pixels = decode_image_file(image())
-    except NotAnImage:
-        return None
-    if pixels is None:
+        pixels = decode_jpeg(image())
+    except ValueError:
         return None
     grey = shrunk(pixels, _THUMBNAIL).mean(axis=2)
     deviation = float(grey.std())

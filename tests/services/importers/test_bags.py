@@ -237,14 +237,17 @@ def test_sideways_motion_is_reported_with_its_times(tmp_path: Path) -> None:
     assert remark(tally, "/cmd_vel goes sideways", "at 3.0 to 5.9 s")
 
 
-@pytest.mark.parametrize("commands", [True, False])
+@pytest.mark.parametrize("velocities", ["of commands", "of odometry", "of poses"])
 @pytest.mark.parametrize("every", [18, 50])
-def test_odometry_is_joined_when_it_was_reset(commands: bool, every: int, tmp_path: Path) -> None:
+def test_odometry_is_joined_when_it_was_reset(velocities: str, every: int, tmp_path: Path) -> None:
     frames = list(drive())
     for at in range(every, FRAMES, every):
         frames[at:] = since(frames[at:], frames[at])
-    report, tally = imported_of(said(frames, commands=commands), tmp_path)
+    if velocities == "of poses":
+        frames = [frame._replace(linear=0.0, angular=0.0) for frame in frames]
+    report, tally = imported_of(said(frames, commands=velocities == "of commands"), tmp_path)
     check_whole(report, within_m=0.06)
+    assert report.speed == pytest.approx(SPEED, abs=0.01)
     assert remark(tally, "the odometry jumps by", f" at {every / 10 - 0.05:.1f} s (joined")
 
 
