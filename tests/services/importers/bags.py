@@ -150,3 +150,10 @@ def write(path: Path, messages: Iterable[Said], *, ros1: bool = False, sort: boo
             data = encode(ros_message(store, kind, fields), kind)
             writer.write(channels[topic], round(received_s * 1e9), data)
     return path
+
+
+def old(folder: Path) -> Path:
+    """Write a folder with a short bag of ROS 1."""
+    folder.mkdir(parents=True)
+    write(folder / "old.bag", said(drive()[:8]), ros1=True)
+    return folder

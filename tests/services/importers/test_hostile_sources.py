@@ -16,7 +16,7 @@ from services.importers.drive import ImportFailure
 from services.importers.inside import Inside
 from services.kit.jpeg import encode_jpeg
 from tests.fuzz.targets import check_line
-from tests.services.importers import sources
+from tests.services.importers import bags, sources
 from tests.services.importers.sources import CAMERA
 from tests.services.importers.test_folders import LAYOUTS, film
 from tests.services.importers.test_formats import FORMATS, FRAMES, MADE, episode_of, imported
@@ -74,6 +74,7 @@ FILES: list[tuple[str, Callable[[Path], Path], str]] = [
     ("folder", film, "drive.mp4"),
     ("rosbag2", sources.rosbag2, "bag.mcap"),
     ("rosbag2", lambda path: sources.rosbag2(path, sqlite=True), "bag.db3"),
+    ("rosbag1", bags.old, "old.bag"),
 ]
 
 
