@@ -168,8 +168,10 @@ def _twist(twist: Any) -> tuple[float, float, float]:  # noqa: ANN401 - its clas
 def _planar(pose: Any) -> tuple[float, float, float]:  # noqa: ANN401 - as above
     """Return x, y and heading; NaN if the quaternion is no rotation, such as zero."""
     turn = pose.orientation
-    norm = turn.w**2 + turn.x**2 + turn.y**2 + turn.z**2
+    # Products of numbers without meaning are infinite, but powers raise an error.
+    norm = turn.w * turn.w + turn.x * turn.x + turn.y * turn.y + turn.z * turn.z
     heading = math.atan2(
-        2.0 * (turn.w * turn.z + turn.x * turn.y), norm - 2.0 * (turn.y**2 + turn.z**2)
+        2.0 * (turn.w * turn.z + turn.x * turn.y),
+        norm - 2.0 * (turn.y * turn.y + turn.z * turn.z),
     )
     return pose.position.x, pose.position.y, heading if norm > 0.5 else math.nan

@@ -228,6 +228,16 @@ def test_calibration_is_found_beside_or_by_its_frame(
     assert episode_of(report).camera.focal_px == pytest.approx(45.0)
 
 
+def test_poses_without_meaning_are_counted(tmp_path: Path) -> None:
+    wild = {"orientation": {"x": 1e300}, "position": {"x": math.inf}}
+    messages = moved(
+        said(), "/odom", lambda k, one: odometry(drive()[k], **wild) if k == 7 else one
+    )
+    report, tally = imported_of(messages, tmp_path)
+    check_whole(report)
+    assert "1 poses are not finite or too far away" in tally.lines()
+
+
 def test_sideways_motion_is_reported_with_its_times(tmp_path: Path) -> None:
     aside = [
         command(frame._replace(linear=0.0 if 30 <= k < 60 else SPEED), aside=SPEED * (30 <= k < 60))
