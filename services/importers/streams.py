@@ -20,12 +20,13 @@ COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
 RAW: Final = "sensor_msgs/msg/Image"
 TWIST: Final = "geometry_msgs/msg/Twist"
 STAMPED: Final = "geometry_msgs/msg/TwistStamped"
+MEASURED: Final = "geometry_msgs/msg/TwistWithCovarianceStamped"
 ODOMETRY: Final = "nav_msgs/msg/Odometry"
 POSE: Final = "geometry_msgs/msg/PoseStamped"
 ESTIMATE: Final = "geometry_msgs/msg/PoseWithCovarianceStamped"
 INFO: Final = "sensor_msgs/msg/CameraInfo"
 IMAGES: Final = (COMPRESSED, RAW)
-VELOCITIES: Final = (TWIST, STAMPED, ODOMETRY)
+VELOCITIES: Final = (TWIST, STAMPED, MEASURED, ODOMETRY)
 POSES: Final = (ODOMETRY, POSE, ESTIMATE)
 #: Columns of a stream: number in the file, times of reception and capture, velocities, pose.
 _COLUMNS: Final = 9
@@ -156,6 +157,8 @@ def _moving(kind: str, message: Any) -> tuple[Iterable[float], Iterable[float]]:
         return _twist(message), _UNKNOWN
     if kind == STAMPED:
         return _twist(message.twist), _UNKNOWN
+    if kind == MEASURED:
+        return _twist(message.twist.twist), _UNKNOWN
     if kind == ODOMETRY:
         return _twist(message.twist.twist), _planar(message.pose.pose)
     return _UNKNOWN, _planar(message.pose if kind == POSE else message.pose.pose)

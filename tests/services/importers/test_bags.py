@@ -188,6 +188,20 @@ def test_velocities_follow_poses_when_twists_are_empty(tmp_path: Path) -> None:
     assert report.speed == pytest.approx(SPEED, abs=0.01)
 
 
+def test_measured_velocities_are_used_when_they_stand_alone(tmp_path: Path) -> None:
+    kind = "geometry_msgs/msg/TwistWithCovarianceStamped"
+    messages = moved(
+        said(poses=False),
+        "/cmd_vel",
+        lambda _k, one: one._replace(
+            kind=kind,
+            fields={"header": bags.header(one.received_s), "twist": {"twist": one.fields}},
+        ),
+    )
+    report, _ = imported_of(messages, tmp_path)
+    check_whole(report, within_m=0.1)
+
+
 def test_odometry_is_chosen_by_content_when_none_is_called_odom(tmp_path: Path) -> None:
     views = [one for frame in drive() for one in (image(frame), command(frame))]
     dead = [odometry(frame, "/a/odometry", position={}) for frame in drive()]
