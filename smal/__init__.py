@@ -2,7 +2,7 @@
 
 Read in this order. `robot` processes a frame. Its `filter` estimates the place in the `model`, a map of the views of a
 `camera` along the way. `particles` represent possible places, `likelihood` weighs a view at a place, and `movement`
-models the odometry. `planning` decides the motion.
+models the odometry. `planning` decides the motion. `recordings` reads recordings of the services.
 
 `teaching` builds the map from drives; driving imports nothing from it. `sought` detects the target, and `obstacles`
 plans around obstacles. Beside these are `paper`, all of Sequence-based Multimodal Apprenticeship Learning (Han, Yang,
@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from smal import recordings as recordings
     from smal.features import FeatureSettings as FeatureSettings
     from smal.features import extract as extract
     from smal.filter import Belief as Belief
@@ -40,6 +41,7 @@ _FILES = {
     "fit": "teaching.mapping",
     "learn": "teaching.mapping",
     "match": "place_recognition.matching",
+    "recordings": "recordings",
     "solve": "paper.state_matching",
 }
 __all__ = list(_FILES)
@@ -49,7 +51,8 @@ def __getattr__(name: str) -> object:
     """Import a public name on first use: a process that only extracts features loads nothing else."""
     if name not in _FILES:
         raise AttributeError(f"module 'smal' has no attribute {name!r}")
-    return getattr(import_module(f"smal.{_FILES[name]}"), name)
+    module = import_module(f"smal.{_FILES[name]}")
+    return getattr(module, name, module)
 
 
 def __dir__() -> list[str]:

@@ -1,7 +1,8 @@
 """Camera models, and virtual views: images warped to a pose beside or turned from the pose of the camera.
 
-A wide lens distorts the image. Calibrations name the models of OpenCV and ROS. An uncalibrated camera is modelled as
-rectilinear (straight lines stay straight) or equidistant (fisheye), whichever predicts views better.
+A wide lens distorts the image. Calibrations name the models of OpenCV and ROS. An
+uncalibrated camera is modelled as rectilinear (straight lines stay straight) or equidistant
+(fisheye), the model that predicts views better.
 
 One drive shows every place from one pose. A robot that drifts sees it from other poses, for each of which the paper
 needs a demonstration. We warp the taught image instead. A pure turn is exact for every scene. A step needs distances,
@@ -14,7 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Final, Literal, get_args
+from typing import Any, Final, Literal, Self, get_args
 
 import numpy as np
 
@@ -41,6 +42,10 @@ _MOST_RAD: Final = {
 _LEAST_FOCAL = 0.04
 _MOST_FOCAL = 12.0
 _MOST_DISTORTION: Final = 1e6
+#: Field of view from which an uncalibrated lens is equidistant: rectilinear lenses end before.
+_WIDE_DEG: Final = 125.0
+#: Largest height of a camera and distance of a scene.
+_MOST_AWAY: Final = 1e6
 
 
 @dataclass(frozen=True)
@@ -75,9 +80,20 @@ class Camera:
             raise ValueError("the axis of a camera must meet its image")
 
     @classmethod
-    def of_field(cls, field_deg: float, lens: Lens = "plumb_bob") -> "Camera":
-        """Return the camera without distortion that has a horizontal field of view, in degrees."""
+    def of_field(cls, field_deg: float, lens: Lens | None = None) -> "Camera":
+        """Return the camera without distortion that has a horizontal field of view, in degrees.
+
+        Without a lens model, a field from 125 degrees on is equidistant.
+        """
+        if lens is None:
+            lens = "equidistant" if field_deg >= _WIDE_DEG else "plumb_bob"
         half = math.radians(field_deg) / 2.0
+        if not 0.0 < half < _MOST_RAD[lens]:
+            most = 2.0 * math.degrees(_MOST_RAD[lens])
+            raise ValueError(
+                f"the field of view of the lens {lens} must be above 0 and below {most:g} degrees, "
+                f"got {field_deg:g}"
+            )
         radius = half if lens == "equidistant" else math.tan(half)
         return cls(0.5 / radius, lens)
 
@@ -110,14 +126,19 @@ class Camera:
         return column, row
 
     @lru_cache(maxsize=8)  # noqa: B019 - a camera is a value: a fit needs the same rays hundreds of times
-    def rays(self, shape: tuple[int, ...]) -> tuple[Floats, Floats, Floats]:
-        """Return the direction of each pixel of an image of this shape: right, down, ahead, of unit length."""
+    def rays(
+        self, shape: tuple[int, ...], aspect: float | None = None
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return the direction of each pixel of an image of this shape: right, down, ahead, of unit length.
+
+        An image that was stretched to this shape had another `aspect`, its height over its width.
+        """
         rows, columns = shape
-        middle_u, middle_v = self.middle(shape)
-        focal = self.focal * columns
+        right_of, below = self.centre
         v, u = np.mgrid[0:rows, 0:columns]
-        across = (u - middle_u) / focal
-        down = (v - middle_v) / focal
+        height = rows / columns if aspect is None else aspect
+        across = ((u - (columns - 1) / 2.0) / columns - right_of) / self.focal
+        down = ((v - (rows - 1) / 2.0) / rows * height - below) / self.focal
         out = np.maximum(np.hypot(across, down), 1e-9)
         angle = self.angle(out)
         sin = np.sin(angle)
@@ -144,11 +165,28 @@ class Camera:
 
 @dataclass(frozen=True)
 class Scene:
-    """A camera over flat ground, inside a cylindrical wall. Height and distance are above 0, in one unit."""
+    """A camera over flat ground, inside a cylindrical wall; ValueError if no scene has these values.
+
+    Height and distance are above 0, in one unit.
+    """
 
     camera: Camera
     height: float
     distance: float
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.height <= _MOST_AWAY and 0.0 < self.distance <= _MOST_AWAY):
+            raise ValueError(
+                f"the height of a camera and the distance of its scene must be above 0, at most "
+                f"{_MOST_AWAY:g}, got {self.height!r:.40} and {self.distance!r:.40}"
+            )
+
+    @classmethod
+    def of_content(cls, content: dict[str, Any]) -> Self:
+        """Build the scene from its `dataclasses.asdict` in a file."""
+        camera = content["camera"]
+        lists = {name: tuple(camera[name]) for name in ("distortion", "centre")}
+        return cls(**content | {"camera": Camera(**camera | lists)})
 
     def warp(
         self, image: Image, step: Sequence[float], view: tuple[int, int] | None = None

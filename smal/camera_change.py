@@ -20,16 +20,13 @@ from typing import Final
 import numpy as np
 
 from smal.arrays import Float32s, Uint8s
-from smal.camera import STEP_DEG, Camera, Lens, Maps, Scene, remapped
+from smal.camera import STEP_DEG, Maps, remapped
 from smal.features import Centering, extract
 from smal.features.percept import Percept
 from smal.features.resizing import PIXELS, fitted, resized, small
 from smal.files.packed import unpacked
 from smal.likelihood import ANY_DAY, standing_out
 from smal.map import VisualMap, beside
-
-#: Field of view from which the camera is taken to be equidistant: rectilinear lenses end before.
-_WIDE_DEG: Final = 125.0
 
 
 @dataclass(frozen=True)
@@ -193,11 +190,8 @@ class CameraPitch:
     @cached_property
     def _maps(self) -> list[Maps]:
         """Positions of the pixels of the level view under each hypothesis."""
-        field_deg, height, distance = self._map.scene.tolist()
-        lens: Lens = "plumb_bob" if field_deg < _WIDE_DEG else "equidistant"
-        scene = Scene(Camera.of_field(field_deg, lens), height, distance)
         still = (0.0, 0.0, 0.0)
         return [
-            scene.maps(self._shape, still, pitch_rad=math.radians(pitch))
+            self._map.scene.maps(self._shape, still, pitch_rad=math.radians(pitch))
             for pitch in self._config.pitches_deg
         ]

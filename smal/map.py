@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smal.arrays import AnyArray, Float32s, Floats, Indices, Int8s, Int32s, evenly
-from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG
+from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Scene
 from smal.files.packed import BATCH, unit, unpacked
 from smal.files.stored import Content
 from smal.keyframes import MAP_CONFIG, MapConfig, without_detours
@@ -39,7 +39,7 @@ _NUMBERS: dict[str, Callable[[float], bool]] = {
 }
 #: Number of axes of the arrays.
 _AXES = {
-    "poses": 2, "drives": 1, "keyframes": 1, "basis": 2, "views": 4, "blank": 1, "movements": 2, "scene": 1,
+    "poses": 2, "drives": 1, "keyframes": 1, "basis": 2, "views": 4, "blank": 1, "movements": 2,
     "log_ratio": 2, "stitched": 2, "stitch_offsets": 2, "variants": 1,
 }  # fmt: skip
 _WHOLE = ("drives", "keyframes", "views", "stitched", "variants")
@@ -80,8 +80,8 @@ class VisualMap:
     tick_s: float
     #: Whether poses come from odometry; otherwise they are the integrated movements of atoms.
     odometry: bool
-    #: Field of view in degrees, height of the camera, distance of the scene.
-    scene: Floats
+    #: Camera of the taught images, its height, and the distance of the scene.
+    scene: Scene
     #: Goal of each drive.
     goals: tuple[str, ...]
     #: Demonstrations of each drive: several if frames between them were lost.
@@ -108,7 +108,8 @@ class VisualMap:
         values = {part.name: getattr(self, part.name) for part in fields(self)}
         arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
         numbers = {name: value for name, value in values.items() if name not in arrays}
-        return numbers | {"config": asdict(self.config)}, arrays
+        parts = {"config": asdict(self.config), "scene": asdict(self.scene)}
+        return numbers | parts, arrays
 
     @classmethod
     def of_content(cls, numbers: dict[str, Any], arrays: dict[str, AnyArray]) -> Self:
@@ -135,6 +136,7 @@ class VisualMap:
             "goals": tuple(goals),
             "names": tuple(map(tuple, names)),
             "size": tuple(size),
+            "scene": Scene.of_content(numbers["scene"]),
             "config": MapConfig(**numbers["config"]),
         }
         return cls(**arrays | numbers | converted)
@@ -230,7 +232,7 @@ class VisualMap:
                 np.stack([standing_out(views @ view, self.sample @ view) for view in views])[far]
             )
         if far.sum() < 3 or min(np.ptp(values) for values in z) == 0.0:
-            return math.radians(float(self.scene[0]) / 2.0)
+            return self.field_rad / 2.0
         correlation = float(np.clip(np.corrcoef(z)[0, 1], 0.01, 0.99))
         return -math.radians(float(TURNS_DEG[-1])) / math.log(correlation)
 
@@ -300,6 +302,11 @@ class VisualMap:
     def aside(self) -> float:
         """Distance of the views from aside to the keyframe, in the map's unit."""
         return self.config.aside * self.correlation_length
+
+    @property
+    def field_rad(self) -> float:
+        """Horizontal field of view of the taught images, radians."""
+        return math.radians(self.scene.camera.field_deg)
 
     @property
     def speed(self) -> float:
@@ -454,7 +461,6 @@ def _ways_fit(mapped: VisualMap) -> dict[str, bool]:
         "keyframes": 0 < len(keys) <= _MOST_KEYFRAMES and _within(keys, frames) and ascending,
         "ends of drives": bool(np.isin(ends, keys).all()),
         "movements": mapped.movements.shape == (len(Atom), 2) and _moderate(mapped.movements),
-        "scene": mapped.scene.shape == (3,) and _moderate(mapped.scene),
         "size": _is_size(mapped.size),
     }
 

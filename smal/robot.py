@@ -1,14 +1,17 @@
 """`Robot`: from a camera image to a motion, by the `Localizer` (filter and odometry) and the `Planner`."""
 
 import math
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from smal.arrays import AnyArray, Float32s, Floats, Uint8s
+from smal.camera import TURNS_DEG
 from smal.camera_change import CameraPitch
+from smal.features import extract
 from smal.features.detectors import Detection
 from smal.features.percept import Percept, perceive
 from smal.filter import Belief, Filter
@@ -25,6 +28,11 @@ from smal.sought.witness import Glimpse, Witness
 NO_GROUND = (
     "the model has no ground, so that unexpected ground cannot be detected; learn the model again"
 )
+
+#: Images at the start of an episode whose colours are checked.
+_COLOURS_CHECKED: Final = 10
+#: Mean gain of cosine by swapped colours: right images lose about 0.08 (a room, 20 drives).
+_CLEARLY_SWAPPED: Final = 0.01
 
 
 class Located(NamedTuple):
@@ -200,7 +208,7 @@ class Localizer:
             key = int(belief.keyframes[best])
             way = way_from(self._map, key, offset, swept(self._map.speed))
             neighbours = beside(self._map, key, GROUND_CONFIG.keyframes)
-            far = self._ground.strange_m(picture, neighbours, way, self._map.scene)
+            far = self._ground.strange_m(picture, neighbours, way, self._map)
             # A momentary detection is ignored.
             self._strange_s = self._strange_s + self._step_s if math.isfinite(far) else 0.0
             self._strange = far if self._strange_s >= GROUND_CONFIG.lasts_s else math.inf
@@ -239,8 +247,11 @@ class Localizer:
                 f"the time since the frame before must be finite and not negative, got {elapsed_s}"
             )
         odometry = odometry if self._map.odometry else None
-        if odometry is not None and not all(map(math.isfinite, odometry)):
-            raise ValueError(f"the pose by the wheels must be finite, got {tuple(odometry)}")
+        if odometry is not None and not (len(odometry) == 3 and all(map(math.isfinite, odometry))):
+            raise ValueError(
+                "the pose by the wheels must be three finite numbers, x, y and heading in radians, "
+                f"got {tuple(odometry)}"
+            )
         movement = STILL
         noise = BY_ATOMS
         if odometry is not None and self._pose is not None:
@@ -310,6 +321,8 @@ class Robot:
     ValueError
         If the goal is not found, or is missing although the model has several, or `watches` is set and the model has
         no ground.
+    TypeError
+        If the model is no `Model`.
     """
 
     belief: Belief  # After the last image.
@@ -318,6 +331,11 @@ class Robot:
     def __init__(
         self, model: Model, goal: str | None = None, seed: int = 0, watches: bool = False
     ) -> None:
+        if not isinstance(model, Model):
+            raise TypeError(
+                f"a robot needs a smal.Model, got {model!r:.60}; smal.Model.load(path) reads a file"
+            )
+        self._model = model
         self._map = model.mapped
         goal = model.mapped.chosen_goal(goal)
         self._localizer = Localizer(model, seed, goal, watches)
@@ -331,6 +349,7 @@ class Robot:
         #: Motion since the last image: the result of `step`, unless the caller sets another motion or an atom.
         self.made: Atom | Motion = STANDS
         self._around: Surroundings | None = None
+        self._swapped: list[float] = []
 
     def step(
         self,
@@ -359,6 +378,8 @@ class Robot:
             Linear velocity ahead and angular velocity to the left, as shares of the robot's own, -1 to 1.
         """
         percept = perceive(image, self._localizer.features)
+        if len(self._swapped) < _COLOURS_CHECKED:
+            self._check_colours(image, percept.features)
         located = self._localizer.locate(percept, odometry, [self.made], elapsed_s)
         self.belief = located.whole
         if odometry is None:
@@ -375,6 +396,25 @@ class Robot:
         )
         self.made = self.decision.motion
         return self.decision.motion
+
+    def _check_colours(self, image: Uint8s, features: Float32s) -> None:
+        """Warn if the first images of an episode are more like the map with red and blue swapped."""
+        swapped = extract(np.ascontiguousarray(image[..., ::-1]), self._localizer.features)
+        self._swapped.append(self._likeness(swapped) - self._likeness(features))
+        clear = min(self._swapped) > 0.0 and np.mean(self._swapped) > _CLEARLY_SWAPPED
+        if len(self._swapped) == _COLOURS_CHECKED and clear:
+            warnings.warn(
+                "the images are like the taught images with red and blue swapped; give RGB, as "
+                "cv2.cvtColor(image, cv2.COLOR_BGR2RGB) returns",
+                stacklevel=3,
+            )
+
+    def _likeness(self, features: Float32s) -> float:
+        """Return the cosine of a frame with the taught view that is most like it."""
+        components = self._map.described(self._model.centering.apply(features))
+        keyframes, _ = self._map.likely(components)
+        turns = np.arange(TURNS_DEG.size)
+        return float(self._map.cosines(components, keyframes[:, None], np.array(1), turns).max())
 
     @property
     def where(self) -> TaughtPlace:

@@ -18,7 +18,8 @@ from smal.model import Model
 from smal.movement import Atom, Motion
 from smal.paper import learning
 from smal.paper.model import PaperModel
-from smal.teaching.mapping import demonstrations_of, fit
+from smal.teaching.from_arrays import demonstrations_of
+from smal.teaching.mapping import fit
 
 FEATURES: Final = FeatureSettings(("thumbnail",))
 LENGTH: Final = 3

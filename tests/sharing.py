@@ -10,9 +10,9 @@ import pytest
 from xdist.scheduler import LoadScopeScheduling
 
 #: What drives robots in real time, and waits more than it computes: one process does the whole folder.
-REAL_TIME: Final = ("tests/system/console/", "tests/ros2/", "tests/system/")
+REAL_TIME: Final = ("tests/system/console/", "tests/ros2/", "tests/serial/", "tests/system/")
 #: What is begun first, since it lasts longest: pure computing before the last, so that only two of them drive at once.
-FIRST: Final = (*REAL_TIME[:2], "tests/smal/", REAL_TIME[2])
+FIRST: Final = (*REAL_TIME[:3], "tests/smal/", REAL_TIME[3])
 
 
 class Sharing(LoadScopeScheduling):

@@ -13,7 +13,8 @@ from services.experiments.words import remark
 from services.kit.errors import JobError, UsageError
 from services.recordings.dataset import Teacher
 from smal.model import Model
-from smal.teaching.map_update import Verdict, update_map, whole_runs
+from smal.teaching.demonstration import Use, whole_drives
+from smal.teaching.map_update import Verdict, update_map
 
 # Maximum number of earlier versions beside a model (NAME.smal.1, NAME.smal.2 …).
 _KEPT: Final = 10
@@ -65,15 +66,16 @@ def add_runs(files: list[Path], path: Path, bar: Callable[[str, int, int], None]
         )
     teacher = Teacher(model.feature_settings, 2, include_runs=True, taught=model.mapped.size)
     teaching = teacher.read_all(files, bar)
-    remark(teaching.remarks)
-    every = whole_runs(teaching.demonstrations)
-    goals = model.mapped.goals
-    remark(
-        f"{run.name}: left out: the model has no goal {run.goal}"
-        for run in every
-        if run.goal not in goals
-    )
-    runs = [run for run in every if run.goal in goals]
+    runs = []
+    for drive in whole_drives(teaching.demonstrations):
+        unfit = drive.unfit
+        if drive.whole.goal not in model.mapped.goals:
+            unfit = f"the model has no goal {drive.whole.goal}"
+        if unfit:
+            teaching.uses.append(Use(drive.name, drive.frames, 0, unfit))
+        else:
+            runs.append(drive.whole)
+    remark(teaching.lines())
     try:
         new, verdict = update_map(model, runs, partial(bar, "following"))
     except ValueError as error:

@@ -12,10 +12,11 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import typer
 from pydantic import ValidationError
+from typer import Option
 
 from schemas import topics
 from schemas.base import Strict
@@ -24,7 +25,7 @@ from services.cli import options
 from services.cli.stack import GROUPED, Instances, answers, free_endpoint, instances
 from services.kit.bus import Bus, BusError, Router, addresses, check_credentials, host_and_port
 from services.kit.credentials import how_secure
-from services.kit.errors import JobError
+from services.kit.errors import JobError, UsageError
 from services.kit.process import EXIT_FAILED
 from services.kit.settings import ServiceSettings, fleet
 from services.table import stack_services
@@ -35,8 +36,19 @@ RENDER_TIMEOUT_S: Final = 120.0
 MESSAGE_TIMEOUT_S: Final = 5.0
 
 
-def doctor(*, as_json: options.Json = False, reach: options.Reach) -> None:
+def doctor(
+    *,
+    as_json: options.Json = False,
+    reach: options.Reach,
+    robot_config: Annotated[
+        Path | None,
+        Option(help="Configuration of a serial or network base, whose inputs are checked."),
+    ] = None,
+) -> None:
     """Check rendering, Zenoh, the router's port, Python and disk space.
+
+    With --robot-config, check a base without ROS as well: save a picture of its camera, measure the
+    pictures' rate and age, send a stop, and read the odometry. The base must not be in use.
 
     Each problem comes with its remedy. The exit status is 1 if there is a problem.
 
@@ -48,6 +60,7 @@ def doctor(*, as_json: options.Json = False, reach: options.Reach) -> None:
         "zenoh": check_zenoh,
         "port": partial(check_port, reach.settings),
         "rendering": check_rendering,
+        **_checks_of_base(robot_config),
     }
     results = []
     for name, check in checks.items():
@@ -62,6 +75,20 @@ def doctor(*, as_json: options.Json = False, reach: options.Reach) -> None:
         typer.echo(json.dumps(results, indent=2))
     if not all(one["ok"] for one in results):
         raise typer.Exit(EXIT_FAILED)
+
+
+def _checks_of_base(path: Path | None) -> dict[str, Callable[[], str]]:
+    """Return the checks of a base without ROS; UsageError if its configuration is invalid."""
+    if path is None:
+        return {}
+    try:
+        from services.serial.checks import checks  # noqa: PLC0415 - only this needs its packages
+        from services.serial.config import read_config  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"--robot-config {path}: package {error.name} not found; pip install -e '.[serial]'"
+        ) from None
+    return checks(read_config(path))
 
 
 class _ProbeAnswer(Strict):

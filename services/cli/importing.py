@@ -95,7 +95,7 @@ class SourceScale:
         Option(
             "--field-of-view",
             min=5,
-            max=170,
+            max=220,
             metavar="DEG",
             help="Horizontal field of view of the camera. [default: the source's]",
         ),

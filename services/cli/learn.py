@@ -13,7 +13,7 @@ from services.recordings.dataset import find_recordings
 from smal.model import Model
 from smal.teaching.mapping import learn as learn_map
 
-_SHORTEST = 2  # Minimum length of a taught stretch without a gap, frames.
+_SHORTEST = 1  # Minimum length of a taught stretch without a gap, frames.
 
 
 def learn(
@@ -27,9 +27,10 @@ def learn(
     """Learn a map of views from recorded drives.
 
     One successful drive is enough, by the scripted expert or by a person. Recovery drives, failed
-    drives, collisions and the robot's own runs are left out; each omission is reported on standard
-    error. Only camera, wheel odometry and applied commands are used, never true poses. `smal paper
-    learn` learns the paper's model.
+    drives, collisions and the robot's own runs are left out. A table at the end lists the frames of
+    each drive, the frames that teach, and the reason if a drive does not teach. Gaps in a drive are
+    bridged by odometry, or by how much the views on both sides differ. Only camera, wheel odometry
+    and applied commands are used, never true poses. `smal paper learn` learns the paper's model.
 
     The features are computed from the recorded images; --modalities accepts all but depth.
 
@@ -58,7 +59,13 @@ def learn(
     with lessons.bars() as bars, at_work.engine() as engine:
         teaching = lessons.taught(files, features, _SHORTEST, bars)
         try:
-            model = learn_map(teaching.demonstrations, features, progress=bars, parallel=engine.map)
+            model = learn_map(
+                teaching.demonstrations,
+                features,
+                progress=bars,
+                parallel=engine.map,
+                report=teaching.uses.append,
+            )
         except ValueError as error:
             raise JobError(f"cannot learn from these recordings: {error}") from None
     for goal in sorted({*model.mapped.goals} - {*model.sights} - {*model.words}):

@@ -1,9 +1,9 @@
 """Options and steps shared by `smal learn` and `smal paper learn`."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,12 +12,13 @@ from typer import Argument, Option
 
 from services.cli import options, outputs
 from services.experiments.progress import Bars
-from services.experiments.words import counted, remark
+from services.experiments.words import counted, remark, table
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import AnyModel
 from services.recordings.dataset import Teacher, Teaching, find_recordings
 from smal.features import FeatureSettings
 from smal.files.container import ModelError
+from smal.teaching.demonstration import Use
 
 
 @dataclass(frozen=True)
@@ -61,10 +62,13 @@ class Lessons:
         teacher = Teacher(features, shortest, include_runs=self.include_runs)
         teaching = teacher.read_all(files, bars)
         bars.close()
-        if not teaching.demonstrations and len(teaching.remarks) == 1:
-            raise JobError(teaching.remarks[0])
-        remark(teaching.remarks)
-        if not teaching.demonstrations:
+        reasons = teaching.lines()
+        if teaching.demonstrations:
+            remark(teaching.remarks)
+        elif len(reasons) == 1:
+            raise JobError(reasons[0])
+        else:
+            remark(reasons)
             what = counted(len(files), "recording")
             raise JobError(f"{what}: nothing to learn from; see the reasons above")
         return teaching
@@ -83,21 +87,32 @@ class Lessons:
     def finish(
         self, model: AnyModel, found: dict[str, Any], teaching: Teaching, began_s: float
     ) -> None:
-        """Save a new model and report it with its recordings."""
+        """Save a new model and report it with its recordings, and the use of each drive."""
         save(model, self.out)
         modalities = model.feature_settings.modalities
+        episodes = sum(use.used > 0 for use in teaching.uses)
         used = {
             "recordings": teaching.recordings,
-            "episodes": teaching.episodes,
+            "episodes": episodes,
             "remarks": teaching.remarks,
+            "uses": [asdict(use) for use in teaching.uses],
             "modalities": modalities,
         }
-        episodes = counted(teaching.episodes, "episode")
         rows = {
-            "recordings": f"{teaching.recordings} ({episodes} used)",
+            "recordings": f"{teaching.recordings} ({counted(episodes, 'episode')} used)",
             "features": " ".join(modalities),
         }
         self.report(rows | found, began_s, used | found)
+        for line in table_of(teaching.uses):
+            typer.echo(line)
+
+
+def table_of(uses: Sequence[Use]) -> Iterator[str]:
+    """Yield the lines of a table of how many frames of each drive teach."""
+    cells = [[use.drive, str(use.frames), str(use.used)] for use in uses]
+    lines = table([["drive", "frames", "used"], *cells])
+    notes = ["note", *(use.note for use in uses)]
+    return (f"{line}  {note}".rstrip() for line, note in zip(lines, notes, strict=True))
 
 
 def save(model: AnyModel, path: Path) -> None:

@@ -7,7 +7,10 @@ import sys
 from importlib import import_module
 from typing import Annotated, Any, Final, cast
 
-import typer
+try:
+    import typer
+except ModuleNotFoundError:
+    sys.exit("smal: the command needs further packages: pip install 'smal[stack]'")
 from typer import Option
 from typer.core import TyperCommand, TyperGroup
 

@@ -17,6 +17,7 @@ from smal.paper.learning import learn as learn_paper
 from smal.paper.model import PaperModel
 from smal.paper.reward import RewardError
 from smal.paper.state_space import MemoryBoundError
+from smal.teaching.demonstration import Use, whole_drives
 
 app = typer.Typer(
     help="The paper's scheme.\n\nExample: smal paper learn drives --out paper.smal", **STYLE
@@ -82,6 +83,8 @@ def learn(*, lessons: Lessons, settings: Settings) -> None:
             raise JobError(f"cannot learn from these recordings: {error}") from None
         except MemoryBoundError as error:
             raise JobError(f"--memory: {error}") from None
+    for drive in whole_drives(teaching.demonstrations):
+        teaching.uses.append(Use(drive.name, drive.frames, drive.frames))
     lessons.finish(model, _found(model, chosen), teaching, began_s)
 
 

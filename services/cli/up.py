@@ -5,6 +5,7 @@ import re
 import time
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -28,6 +29,8 @@ LAST_PORT: Final = 65535
 MOST_FURTHER: Final = 8  # A quarter of the router's sessions for a stack.
 _NONE: Final = "none"
 _SIMULATOR: Final = "simulator"
+#: Kinds of real bases: each is a service, and an extra of the package.
+BASES: Final = ("serial", "ros2")
 
 
 @dataclass(frozen=True)
@@ -114,6 +117,36 @@ class Ports:
 
 
 @dataclass(frozen=True)
+class RobotBody:
+    """Body of the robot: a simulator, none, or a real base with a configuration file."""
+
+    body: Annotated[
+        str,
+        Option(
+            "--robot-body",
+            metavar=f"{_SIMULATOR}|{'|'.join(BASES)}|{_NONE}",
+            help="Body of the robot; none for smal replay, a FILE for ros2 with this configuration.",
+        ),
+    ] = _SIMULATOR
+    config: Annotated[
+        Path | None,
+        Option("--robot-config", help="Configuration file of a real base (serial, ros2)."),
+    ] = None
+
+    def base(self) -> tuple[str, Path] | None:
+        """Return the kind of a real base, and its configuration file."""
+        known = (_SIMULATOR, _NONE, *BASES)
+        kind, path = (self.body, self.config) if self.body in known else ("ros2", Path(self.body))
+        if kind not in BASES:
+            if path is not None:
+                raise UsageError(f"--robot-config: unsupported by --robot-body {kind}")
+            return None
+        if path is None:
+            raise UsageError(f"--robot-body {kind}: requires --robot-config FILE")
+        return kind, path
+
+
+@dataclass(frozen=True)
 class StackSize:
     """Number of robots and instances."""
 
@@ -153,14 +186,7 @@ def up(
     simulator: options.Simulator,
     modalities: options.Modalities = None,
     ports: Ports,
-    body: Annotated[
-        str,
-        Option(
-            "--robot-body",
-            metavar=f"{_SIMULATOR}|{_NONE}|FILE",
-            help="Body of the robot: FILE configures a ROS 2 base; none for smal replay.",
-        ),
-    ] = _SIMULATOR,
+    robot_body: RobotBody,
     reach: options.Reach,
     size: StackSize,
     insecure: Annotated[
@@ -189,14 +215,15 @@ def up(
     """
     world = world or options.DEFAULT_WORLD
     options.read_world(world)
-    base = _base(body)
+    base = robot_body.base()
+    where = world if base is None else base_name(*base)
     if size.robots > 1 and base is not None:
-        raise UsageError("--robots: unsupported: the file of --robot-body configures one base")
+        raise UsageError("--robots: unsupported: a configuration file describes one base")
     options.fleet_of(reach.robot, size.robots)
     instances = size.instances
     chain, learned_on = learned.flags()
     features = options.feature_flags(modalities, learned_on)
-    left_out = {"console": ports.console == _NONE, "robot": body == _NONE}
+    left_out = {"console": ports.console == _NONE, "robot": robot_body.body == _NONE}
     services = tuple(name for name in stack_services() if not left_out.get(name))
     access = _check_addresses(reach, services, size.robots, insecure=insecure)
     plan = StackPlan(
@@ -204,7 +231,7 @@ def up(
         reach.robot,
         reach.settings.router,
         secure=reach.secure,
-        modules={} if base is None else {"robot": "services.ros2"},
+        modules={} if base is None else {"robot": f"services.{base[0]}"},
         robots=size.robots,
         scale=instances,
     )
@@ -215,7 +242,7 @@ def up(
     simulated = (*simulator.flags(world, CAMERA), *below)
     of_service = {
         "router": flags(insecure=insecure or None),
-        "robot": simulated if base is None else flags(ros2_config=body),
+        "robot": simulated if base is None else flags(robot_config=base[1]),
         "features": features,
         "recognition": chain + below,
         "policy": chain + below,
@@ -229,8 +256,8 @@ def up(
         + (flags(http=f"127.0.0.1:{metrics[name]}") if name in metrics else ())
         for name, (service, robot) in plan.processes().items()
     }
-    where = "without a robot" if body == _NONE else f"in {base or world}"
-    _run(replace(plan, flags=given), f"{where} on {plan.endpoint}, {access}", metrics)
+    placed = "without a robot" if left_out["robot"] else f"in {where}"
+    _run(replace(plan, flags=given), f"{placed} on {plan.endpoint}, {access}", metrics)
 
 
 def _run(plan: StackPlan, where: str, metrics: dict[str, int]) -> None:
@@ -249,17 +276,15 @@ def _run(plan: StackPlan, where: str, metrics: dict[str, int]) -> None:
     log.info("stopped")
 
 
-def _base(body: str) -> str | None:
-    """Return the name of a ROS 2 base, or None for a simulated robot or no robot."""
-    if body in (_SIMULATOR, _NONE):
-        return None
+def base_name(kind: str, path: Path) -> str:
+    """Return the name of a real base; UsageError if its configuration is invalid."""
     try:
-        from services.ros2.config import read_config  # noqa: PLC0415 - only this needs its packages
+        service = import_module(f"services.{kind}.__main__")
     except ModuleNotFoundError as error:
         raise UsageError(
-            f"--robot-body {body}: package {error.name} not found; pip install -e '.[ros2]'"
+            f"--robot-body {kind}: package {error.name} not found; pip install -e '.[{kind}]'"
         ) from None
-    return read_config(Path(body)).name
+    return str(service.read_config(path).name)
 
 
 def _check_addresses(

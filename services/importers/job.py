@@ -37,7 +37,7 @@ class ImportJob(Strict):
     reckon: bool = True
     from_s: Annotated[float, Field(ge=0.0, le=1e9)] = 0.0
     to_s: Annotated[float, Field(gt=0.0, le=1e9)] = 1e9
-    field_of_view_deg: Annotated[float, Field(ge=5.0, le=170.0)] | None = None
+    field_of_view_deg: Annotated[float, Field(ge=5.0, le=220.0)] | None = None
     quantile: _Fraction = QUANTILE
     still: _Fraction = STILL
     turning: _Fraction = TURNING

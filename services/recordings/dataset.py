@@ -1,10 +1,9 @@
 """Demonstrations from recordings: usable episodes and their frames, never true poses."""
 
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +18,10 @@ from services.recordings.sink import first_of
 from services.recordings.stream import RecordingError
 from smal.features import FeatureSettings
 from smal.features.extraction import check_image, in_parallel
+from smal.features.resizing import same_aspect
 from smal.movement import Atom
-from smal.teaching.demonstration import Demonstration, Made, described
+from smal.teaching.demonstration import Demonstration, Made, Use, described
 
-#: Ratio of two aspect ratios above which images show different views: 1 % is one row in a hundred.
-_OTHER_SHAPE: Final = 1.01
 Size = tuple[int, int]  # Width and height of an image, pixels.
 
 
@@ -34,8 +32,14 @@ class Teaching:
     # One for each stretch without gaps.
     demonstrations: list[Demonstration] = field(default_factory=list)
     recordings: int = 0  # Number of read files.
-    episodes: int = 0  # Number of used episodes.
-    remarks: list[str] = field(default_factory=list)  # Omissions and damage, one per line.
+    #: Use of each episode; learners add the use of the episodes with demonstrations.
+    uses: list[Use] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)  # Damage, one per line.
+
+    def lines(self) -> list[str]:
+        """Return the damage and the episodes that do not teach, one per line."""
+        unused = [use for use in self.uses if not use.used]
+        return [*self.remarks, *(f"episode {one.drive} left out: {one.note}" for one in unused)]
 
 
 class _LeftOut(Exception):  # noqa: N818 - it is caught and reported, one episode of many
@@ -53,6 +57,8 @@ class Teacher:
         Minimum number of frames of a stretch without gaps.
     include_runs
         Whether successful runs of the robot by itself teach.
+    everything
+        Whether episodes that must not teach are read as well, for other uses.
     episodes
         Episodes to read; all if empty.
     taught
@@ -71,6 +77,7 @@ class Teacher:
         shortest: int,
         *,
         include_runs: bool = False,
+        everything: bool = False,
         episodes: Collection[str] = (),
         taught: Size | None = None,
     ) -> None:
@@ -84,6 +91,7 @@ class Teacher:
         self._features = features
         self._shortest = shortest
         self._include_runs = include_runs
+        self._everything = everything
         self._seen: dict[tuple[str, str], Path] = {}
         self._allowance = Allowance()
 
@@ -119,20 +127,22 @@ class Teacher:
         here = f"{path}: episode {episode.episode}"
         try:
             self._check_is_first(path, episode)
-            if reason := unusable(episode, include_runs=self._include_runs):
+            reason = unusable(episode, include_runs=self._include_runs)
+            if reason and not self._everything:
                 raise _LeftOut(reason)
             self._check_images(here, episode)
             pieces = self._pieces(here, episode)
         except _LeftOut as reason:
-            self._remark(f"{here} left out: {reason}")
+            self.teaching.uses.append(Use(episode.episode, episode.frames, 0, str(reason)))
             return
-        self.teaching.episodes += 1
+        end = int(pieces[0][0])
         for ticks in pieces:
             whole = len(pieces) == 1
             name = episode.episode if whole else piece_name(episode.episode, ticks)
-            self.teaching.demonstrations.append(
-                _demonstration(episode, ticks, name, self._features)
-            )
+            demonstration = _demonstration(episode, ticks, name, self._features)
+            lost = int(ticks[0]) - end
+            self.teaching.demonstrations.append(replace(demonstration, lost=lost))
+            end = int(ticks[-1]) + 1
 
     def _check_is_first(self, path: Path, episode: RecordedEpisode) -> None:
         other = self._seen.setdefault((episode.robot, episode.episode), path)
@@ -166,8 +176,7 @@ class Teacher:
             return
         other, where = next(iter(self._sizes.items()))
         sizes = f"images of {size[0]}x{size[1]} differ from {other[0]}x{other[1]} in {where}"
-        ratio = size[0] * other[1] / (size[1] * other[0])
-        if not 1.0 / _OTHER_SHAPE <= ratio <= _OTHER_SHAPE:
+        if not same_aspect(size, other):
             raise _LeftOut(f"{sizes}: another aspect ratio shows another view")
         self._sizes[size] = here
         self._remark(f"{here}: {sizes}; all are resized")
@@ -182,7 +191,10 @@ class Teacher:
             *map(np.ndarray.tolist, pieces), [max(episode.images)]
         )
         if lost:
-            self._remark(f"{here}: {len(lost)} frames beside gaps left out")
+            self._remark(
+                f"{here}: {len(lost)} frames left out: without a movement or odometry, or in "
+                f"a stretch of fewer than {self._shortest}"
+            )
         return pieces
 
     def _remark(self, text: str) -> None:

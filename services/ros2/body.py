@@ -3,21 +3,20 @@
 import logging
 import math
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Final, Protocol
 
-from schemas.base import STANDING, Message, Velocity
+from schemas.base import STANDING, Velocity
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail, ServiceError
-from services.robot.body import Beginning, ImuReading, Kinematics, OdometryReading
+from services.robot.body import Beginning, ImuReading, Kinematics
 from services.robot.clock import now_s
 from services.robot.gate import MAX_AGE_S
+from services.robot.real import RealView, check_real
 from services.ros2.config import Ros2Config
 from services.ros2.messages import MessageError
 from services.ros2.senses import Frame, Senses, picture
-from services.ros2.wheels import Wheels, reading
 from smal.camera import Camera
 
 #: Readings of the inertial unit closer than this are the same; its messages have microseconds.
@@ -36,22 +35,6 @@ class Link(Protocol):
 
     def detail(self) -> Detail:
         """Return the link's part of the status."""
-
-
-@dataclass(frozen=True, eq=False)
-class Ros2View:
-    """Readings of a ROS 2 base as `services.robot.body.View`."""
-
-    jpeg: bytes
-    captured_s: float
-    contact: bool
-    odometry: OdometryReading | None
-    imu: tuple[ImuReading, ...] | None
-    depth = None
-
-    def more(self, _header: Message, _made: Collection[str] = ()) -> Iterator[Message]:
-        """Yield nothing: the base has no other known sensors."""
-        yield from ()
 
 
 class Ros2Body:
@@ -78,8 +61,6 @@ class Ros2Body:
         self._jpeg = b""
         self._begun_s = clock()
         self._felt_s = 0.0
-        self._since: Wheels | None = None
-        self._last: Wheels | None = None
         self._lacked = False
         self._asked = STANDING
 
@@ -126,14 +107,7 @@ class Ros2Body:
 
     def begin(self, request: ResetRequest) -> Beginning:
         """Prepare an episode; ServiceError if inputs are silent or the request is unsupported."""
-        if request.kidnap_tick is not None:
-            raise ServiceError(f"{self.name} is real: kidnap_tick is unsupported; carry it by hand")
-        if request.obstacles or request.people or request.blocked:
-            raise ServiceError(
-                f"{self.name} is real: obstacles are unsupported; place them by hand"
-            )
-        if request.world is not None or request.variation is not None:
-            raise ServiceError(f"{self.name} is real: world and variation are unsupported")
+        check_real(self.name, request)
         fit = "dialect, domain, namespace, distribution and the topics' names (ros2 topic list)"
         hint = f"does {self._config.router} reach it, and do {fit} fit?"
         frame = self._senses.frame
@@ -152,10 +126,10 @@ class Ros2Body:
         self._senses.touched = False
         self._senses.imu_since_last()
         self._frame = None
-        self._since = self._last = self._senses.wheels_at(frame.captured_s)
+        self._senses.track.begin(frame.captured_s)
         return Beginning()
 
-    def look(self, tick: int) -> Ros2View:
+    def look(self, tick: int) -> RealView:
         """Return the newest frame and its readings; without a required input no frame is new."""
         del tick
         lacks = self._lacks()
@@ -167,10 +141,10 @@ class Ros2Body:
         self._take_newest()
         assert self._frame is not None  # noqa: S101 - begin has seen one, and _take_newest would have raised
         captured_s = self._frame.captured_s
-        odometry = self._odometry(captured_s)
+        odometry = self._senses.track.reading(captured_s)
         if self._senses.silent() is not None:
             captured_s = min(captured_s, self._clock() - MAX_AGE_S)
-        return Ros2View(self._jpeg, captured_s, self._senses.touched, odometry, self._imu())
+        return RealView(self._jpeg, captured_s, self._senses.touched, odometry, self._imu())
 
     def peek(self) -> bytes | None:
         """Return the newest image, as JPEG; None while the camera is silent."""
@@ -194,14 +168,6 @@ class Ros2Body:
             self._senses.refuse(self._camera, str(error))
             if self._frame is None:
                 raise ServiceError(f"{self.name}: {self._camera}: {error}") from None
-
-    def _odometry(self, at_s: float) -> OdometryReading | None:
-        now = self._senses.wheels_at(at_s)
-        if now is None or self._since is None or self._last is None:
-            return None
-        odometry = reading(now, self._since, self._last)
-        self._last = now
-        return odometry
 
     def _imu(self) -> tuple[ImuReading, ...] | None:
         if self._config.imu is None:

@@ -1,39 +1,25 @@
 """Configuration of a base: topics, types and speeds, from a file that can extend a preset."""
 
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
+from pydantic import Field, Strict, model_validator
 
-from schemas.codec import describe, printable
 from services.kit.bus import BusError, host_and_port
-from services.kit.errors import UsageError
-from services.kit.node import ServiceError
+from services.robot import real
 from services.robot.clock import SILENCE_S
-from services.robot.loop import check_stopping
-from services.robot.service import RobotSettings
+from services.robot.real import BaseConfig, ConfigPart, Positive, Seconds, Silence
 from services.ros2 import messages
 from services.ros2.messages import Distribution
 from services.ros2.wire import DialectName, qualified
 
 PRESETS: Final = Path(__file__).parent / "presets"
-_LARGEST: Final = 65536  # Maximum size; a configuration is a page of text.
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Seconds = Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)]
-#: Silence after which the robot is not moved.
-Silence = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)]
 Angle = Annotated[float, Field(gt=0, lt=3.15)]
 #: A name; relative to the namespace unless it begins with a slash.
 Topic = Annotated[str, Field(pattern=r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$")]
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
-
-
-class CameraTopics(_Part):
+class CameraTopics(ConfigPart):
     """Topics of the images, as JPEG or pixels (rgb8, bgr8, mono8, yuv422), and of the calibration."""
 
     topic: Topic
@@ -44,7 +30,7 @@ class CameraTopics(_Part):
     latency_s: Seconds = 0.0  # From the exposure to the stamp of an image.
 
 
-class Input(_Part):
+class Input(ConfigPart):
     """A subscribed topic."""
 
     topic: Topic
@@ -79,7 +65,7 @@ class ScanTopic(Input):
         return self
 
 
-class StopTopic(_Part):
+class StopTopic(ConfigPart):
     """A topic that forbids movement: a bumper, a cliff sensor, or a button (a Bool of True)."""
 
     topic: Topic
@@ -93,7 +79,7 @@ class StopTopic(_Part):
     silence_s: Silence | None = 0.5
 
 
-class VelocityTopic(_Part):
+class VelocityTopic(ConfigPart):
     """Topic of the base's velocity; auto selects the type that it subscribes to."""
 
     topic: Topic = "cmd_vel"
@@ -105,30 +91,20 @@ class VelocityTopic(_Part):
     wheelbase_m: Annotated[float | None, Field(gt=0, le=10)] = None
 
 
-class Ros2Config(_Part):
+class Ros2Config(BaseConfig):
     """A base with a camera; for the settings see services/ros2/README.md."""
 
-    preset: str | None = None
-    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}$")]
     router: str = "tcp/127.0.0.1:7447"
     dialect: DialectName = "rmw_zenoh"
     distribution: Distribution = "jazzy"
     domain: Annotated[int, Field(ge=0, le=232)] = 0
     namespace: Annotated[str, Field(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)*$")] = ""
-    speed_m_s: Positive
-    turn_rate_rad_s: Positive
-    # Minimum turning radius of a car; 0 if it turns on the spot.
-    radius_m: Annotated[float, Field(ge=0, le=100)] = 0.0
-    braking_s: Seconds  # From nominal speed to standstill.
-    #: Time without a command after which the base stops by itself; a base without a watchdog must
-    #: not be driven.
-    watchdog_s: Positive
     velocity: VelocityTopic = VelocityTopic()
     camera: CameraTopics
     odometry: Input | None = None  # The wheels; their silence is the base's.
     imu: Input | None = None
     scan: ScanTopic | None = None
-    stops: tuple[StopTopic, ...] = ()
+    stops: Annotated[tuple[StopTopic, ...], Strict(False)] = ()
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -151,81 +127,6 @@ class Ros2Config(_Part):
         return qualified(topic, self.namespace)
 
 
-def known_presets() -> list[str]:
-    """Return the names of the presets, sorted."""
-    return sorted(path.stem for path in PRESETS.glob("*.yaml"))
-
-
 def read_config(path: Path) -> Ros2Config:
-    """Read a configuration, merged into its `preset` if given; UsageError if it is invalid."""
-    own = _read(path)
-    preset = own.get("preset")
-    if preset is not None:
-        if preset not in known_presets():
-            raise UsageError(f"{path}: preset not found; available: {', '.join(known_presets())}")
-        own = _merged(_read(PRESETS / f"{preset}.yaml"), own)
-    # YAML has lists, while the frozen model has tuples.
-    if isinstance(own.get("stops"), list):
-        own["stops"] = tuple(own["stops"])
-    try:
-        config = Ros2Config.model_validate(own)
-        # Checked here as well, so that no process starts for a base that must not be driven.
-        check_stopping(config)
-    except ValidationError as error:
-        raise UsageError(f"{path}: {_explained(error)}") from None
-    except ServiceError as error:
-        raise UsageError(f"{path}: {error}; for help see services/ros2/README.md") from None
-    return config
-
-
-def _explained(error: ValidationError) -> str:
-    errors = error.errors(include_url=False)
-    missing = [".".join(map(str, one["loc"])) for one in errors if one["type"] == "missing"]
-    if "watchdog_s" in missing:
-        return (
-            "watchdog_s: required; give the seconds without a command after which the base stops "
-            "by itself (for a base without a watchdog see services/ros2/README.md)"
-        )
-    if len(missing) == len(errors) > 1:
-        return f"missing {', '.join(missing)}; presets with defaults: {', '.join(known_presets())}"
-    if errors[0]["type"] == "value_error":  # A validator of ours, whose text names the setting.
-        return str(errors[0]["ctx"]["error"])
-    return describe(error)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        with path.open("rb") as file:
-            text = file.read(_LARGEST + 1)
-        if len(text) > _LARGEST:
-            raise UsageError(f"{path}: too large for a configuration (maximum {_LARGEST} bytes)")
-        tree = YAML(typ="safe", pure=True).load(text.decode())
-    except OSError as error:
-        raise UsageError(
-            f"{path}: {(error.strerror or str(error)).lower()}; presets: {', '.join(known_presets())}"
-        ) from None
-    except (YAMLError, ValueError, RecursionError) as error:
-        reason = printable(" ".join(str(getattr(error, "problem", None) or error).split()))
-        mark = getattr(error, "problem_mark", None)
-        where = "" if mark is None else f" in line {mark.line + 1}"
-        raise UsageError(f"{path}: invalid YAML{where}: {reason}") from None
-    if not isinstance(tree, dict):
-        raise UsageError(f"{path}: expected settings such as `preset: turtlebot4`")
-    return tree
-
-
-def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    both = dict(base)
-    for key, value in own.items():
-        was = both.get(key)
-        both[key] = (
-            _merged(was, value) if isinstance(was, dict) and isinstance(value, dict) else value
-        )
-    return both
-
-
-class Ros2Settings(RobotSettings):
-    """Settings of the base."""
-
-    ros2_config: Path
-    """Configuration file of the base, which can begin with a preset."""
+    """Read the configuration of a base; UsageError if it is invalid."""
+    return real.read_config(path, Ros2Config, PRESETS)

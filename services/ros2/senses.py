@@ -21,16 +21,14 @@ from services.kit.ros_message import LARGEST_BYTES
 from services.kit.throttle import Throttle
 from services.robot.body import ImuReading, Triple
 from services.robot.clock import now_s
+from services.robot.wheel_track import WheelTrack
 from services.ros2 import messages
 from services.ros2.clock import LEARN_S, StampedClock
 from services.ros2.config import Ros2Config, ScanTopic
 from services.ros2.messages import MessageError, Messages, RosMessage
 from services.ros2.scanner import ways
-from services.ros2.wheels import Wheels, WheelTrack
 from smal.camera import Camera
 
-# Number of odometry readings that are searched for the moment of a frame.
-_KEPT: Final = 100
 #: As in `schemas.motion` and `schemas.camera`; far beyond any base.
 _MOST_RAD_S = 100.0
 _MOST_M_S2 = 1000.0
@@ -93,7 +91,6 @@ class Senses:
         self._lock = Lock()
         self._heard_s: dict[str, float] = {}
         self._asked_s = -math.inf  # Time at which the newest received echo was sent.
-        self._wheels: deque[Wheels] = deque(maxlen=_KEPT)
         self._imu: deque[ImuReading] = deque(maxlen=MAX_SAMPLES)
         self.camera: Camera | None = None
         self._forbidden: dict[str, tuple[Ban, ...]] = {}
@@ -192,7 +189,7 @@ class Senses:
         q = pose.orientation
         heading_rad = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
         _check_finite("pose", (pose.position.x, pose.position.y, heading_rad), 1e6)
-        self._wheels.append(self.track.add(made_s, pose.position.x, pose.position.y, heading_rad))
+        self.track.add(made_s, pose.position.x, pose.position.y, heading_rad)
 
     def _feel(self, message: RosMessage, made_s: float) -> None:
         turn = _triple(message.angular_velocity)
@@ -270,11 +267,6 @@ class Senses:
             if must and heard.clock is not None and not heard.clock.known:
                 return f"the clock of {topic} is being learned; wait {LEARN_S:g} s"
         return None
-
-    def wheels_at(self, at_s: float) -> Wheels | None:
-        """Return the odometry nearest to a moment."""
-        with self._lock:
-            return min(self._wheels, key=lambda one: abs(one.read_s - at_s), default=None)
 
     def imu_since_last(self) -> list[ImuReading]:
         """Return the inertial readings since the last call, by our clock."""

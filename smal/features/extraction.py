@@ -119,6 +119,10 @@ def detect(image: Uint8s, settings: FeatureSettings) -> list[Detection]:
 
 def check_image(image: Uint8s) -> None:
     """Raise ValueError if an image is invalid for `extract`."""
+    if not isinstance(image, np.ndarray):
+        raise ValueError(  # noqa: TRY004 - of one class with the errors below
+            f"an image must be an array (height, width, 3), got {type(image).__name__}"
+        )
     if image.dtype != np.uint8:
         raise ValueError(f"an image must be an array of uint8, got {image.dtype}")
     if image.ndim != 3 or image.shape[2] != 3:

@@ -10,6 +10,14 @@ from smal.arrays import AnyArray, Uint8s
 SHAPE: Final = (60, 80)
 #: Rows and columns of an image at which features look: the finest of our own descriptors, HOG.
 PIXELS: Final = (120, 160)
+#: Ratio of two aspect ratios above which images show different views: 1 % is a row in a hundred.
+_OTHER_SHAPE: Final = 1.01
+
+
+def same_aspect(shape: tuple[int, ...], other: tuple[int, ...]) -> bool:
+    """Return whether images of two shapes (rows, columns) can show the same view."""
+    ratio = shape[0] * other[1] / (shape[1] * other[0])
+    return 1.0 / _OTHER_SHAPE <= ratio <= _OTHER_SHAPE
 
 
 def fitted(shape: tuple[int, ...], least: tuple[int, int]) -> tuple[int, int]:

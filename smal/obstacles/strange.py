@@ -9,14 +9,16 @@ with its neighbours without itself, with an exponential tail.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
 from smal.arrays import Float32s, Floats, Indices, Uint8s
-from smal.camera import Camera, Image
+from smal.camera import Image, Scene
 from smal.features.cells import cells_of
 from smal.features.resizing import SHAPE
+from smal.map import VisualMap
 
 #: First row with ground; higher rows are too far away.
 _HORIZON: Final = SHAPE[0] // 2 + 3
@@ -25,7 +27,7 @@ _STEP: Final = 2
 #: The same for the cells that a keyframe stores.
 _KEPT: Final = 3
 #: Time of driving, seconds, within which the ground ahead is inspected.
-LOOKS_S: Final = 3.0
+INSPECTS_S: Final = 3.0
 #: Byte values of a colour of 1; the brightest is 1.22.
 _FINE: Final = 200.0
 
@@ -67,7 +69,9 @@ class Ground:
         if not (shaped and colours.shape[1] > 0 and 0.0 < self.strange < 10.0):
             raise ValueError("the parts of the ground do not fit together")
 
-    def strange_m(self, picture: Image, keyframes: Indices, way: Floats, scene: Floats) -> float:
+    def strange_m(
+        self, picture: Image, keyframes: Indices, way: Floats, mapped: VisualMap
+    ) -> float:
         """Return the distance to the first unexpected ground along a way (s, 2), or infinity.
 
         Parameters
@@ -77,16 +81,15 @@ class Ground:
             Keyframes around the robot.
         way : array (s, 2)
             Places ahead and left of the robot.
-        scene : array (3,)
-            Scene of the map.
+        mapped : VisualMap
         """
-        along, score = patches(picture, self.colours[keyframes], way, scene)
+        along, score = patches(picture, self.colours[keyframes], way, mapped)
         return float(along[score > self.strange].min(initial=math.inf))
 
 
 def swept(speed: float) -> Floats:
     """Return the distances along the way at which a robot of this speed inspects the ground, (s,): every 0.1 s."""
-    return np.linspace(0.0, LOOKS_S * speed, 32)
+    return np.linspace(0.0, INSPECTS_S * speed, 32)
 
 
 def colours_of(picture: Image) -> Uint8s:
@@ -99,12 +102,12 @@ def patches(
     picture: Image,
     colours: Uint8s,
     way: Floats,
-    scene: Floats,
-    config: GroundConfig = GROUND_CONFIG,
+    mapped: VisualMap,
 ) -> tuple[Floats, Floats]:
     """Return for each patch of the swept ground its distance along the way, and its distance from all colours."""
-    ahead, left = _ground(float(scene[0]), float(scene[1]))
-    near = _swept_cells(ahead, left, way, config.swept * scene[1])
+    width, height = mapped.size
+    ahead, left = _ground(mapped.scene, height / width)
+    near = _swept_cells(ahead, left, way, GROUND_CONFIG.swept * mapped.scene.height)
     if not near.size:
         return np.empty(0), np.empty(0)
     cells = _mean_colours(picture, _STEP).reshape(-1, 3)[near]
@@ -117,7 +120,7 @@ def patches(
     count.flat[near] = 1.0
     sums = _in_patches(sums)
     count = _in_patches(count)
-    whole = np.flatnonzero(count >= config.patch_known)
+    whole = np.flatnonzero(count >= GROUND_CONFIG.patch_known)
     return ahead.ravel()[whole], sums.flat[whole] / count.flat[whole]
 
 
@@ -132,12 +135,12 @@ def _swept_cells(ahead: Floats, left: Floats, way: Floats, half_width: float) ->
     return np.asarray(near[inside])
 
 
-def extreme(scores: Sequence[float], config: GroundConfig = GROUND_CONFIG) -> float:
+def extreme(scores: Sequence[float]) -> float:
     """Return the threshold that one of `GroundConfig.views` exceeds, by an exponential tail of the highest tenth."""
     usual = float(np.quantile(scores, 0.9))
     beyond = [score - usual for score in scores if score > usual]
     mean = float(np.mean(beyond or [usual]))
-    return usual + mean * math.log(0.1 * config.views)
+    return usual + mean * math.log(0.1 * GROUND_CONFIG.views)
 
 
 def _mean_colours(picture: Image, step: int) -> Float32s:
@@ -147,16 +150,18 @@ def _mean_colours(picture: Image, step: int) -> Float32s:
     return mean
 
 
-def _ground(field_deg: float, height: float) -> tuple[Floats, Floats]:
-    """Return the ground in each cell of a picture: ahead and left of the camera; infinite above the horizon."""
-    height_px, width_px = SHAPE
-    focal = Camera.of_field(field_deg).focal * width_px
-    rows, columns = np.mgrid[0:height_px:_STEP, 0:width_px:_STEP]
-    down = np.maximum(rows - (height_px - 1) / 2.0, 1.0)
-    right = columns - (width_px - 1) / 2.0
-    ahead = np.where(rows >= _HORIZON, focal * height / down, math.inf)
-    left = np.where(np.isfinite(ahead), -right * height / down, 0.0)
-    return ahead, left
+@lru_cache(maxsize=2)
+def _ground(scene: Scene, aspect: float) -> tuple[Floats, Floats]:
+    """Return the ground in each cell of a small picture: ahead and left of the camera.
+
+    Above the horizon, and behind the camera, it is infinitely far ahead.
+    """
+    cells = (slice(None, None, _STEP), slice(None, None, _STEP))
+    right, down, ahead = (part[cells] for part in scene.camera.rays(SHAPE, aspect))
+    rows = np.arange(0, SHAPE[0], _STEP)[:, None]
+    on_ground = (rows >= _HORIZON) & (down > 0.0) & (ahead > 0.0)
+    reach = np.divide(scene.height, down, where=on_ground, out=np.zeros_like(down))
+    return np.where(on_ground, reach * ahead, math.inf), -reach * right
 
 
 def _in_patches(cells: Floats) -> Floats:

@@ -237,7 +237,7 @@ class Search(Behaviour):
         """Return the direction to the target in view; out of view, to its taught place ahead of the end of the way."""
         if now.seen is not None and now.seen.left is not None:
             return self._off_rad(now.seen.left)
-        in_field = abs(now.heading_rad) < math.radians(self._taught.scene[0]) / 2.0
+        in_field = abs(now.heading_rad) < self._taught.field_rad / 2.0
         return now.heading_rad if self.arrived and now.at_end and in_field else None
 
     def judge(self, now: Situation) -> Said | None:
@@ -309,7 +309,7 @@ class Search(Behaviour):
 
     def _leave(self, belief: Belief) -> Said | None:
         """After the search, drive on to another end; without any the target is not here."""
-        around_s = self._config.search_rad(float(self._taught.scene[0])) / self._chassis.turn_rad_s
+        around_s = self._config.search_rad(self._taught.field_rad) / self._chassis.turn_rad_s
         # A car cannot turn without leaving the place.
         if self._searched_s < (self._config.stands_s if self._chassis.car else around_s):
             return None
@@ -320,7 +320,7 @@ class Search(Behaviour):
 
     def _off_rad(self, left: float) -> float:
         """Return the direction of an image position, positive to the left of ahead, radians."""
-        return left * math.radians(self._taught.scene[0])
+        return left * self._taught.field_rad
 
 
 class Blind(Behaviour):
@@ -518,7 +518,7 @@ class Wait(Behaviour):
         around = self._things(now)
         aside_rad = around.moving_rad if around else 0.0
         motion = STANDS
-        if abs(aside_rad) > math.radians(self._taught.scene[0]) / 4.0:
+        if abs(aside_rad) > self._taught.field_rad / 4.0:
             motion = self._chassis.turn(math.copysign(1.0, aside_rad))
         elif self._periods and around and around.crowded and around.free_m(ahead=False) > 0.0:
             motion = -1.0, 0.0

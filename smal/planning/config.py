@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from smal.obstacles.strange import LOOKS_S
+from smal.obstacles.strange import INSPECTS_S
 from smal.sought.sight import TARGET_CONFIG
 
 
@@ -49,7 +49,7 @@ class PlannerConfig:
     closed_s: float = 60.0
     #: Distances at which unexpected ground slows the robot down to a share of its speed, and stops it. Indoors the
     #: ground is visible from 1.5 s on.
-    slows_s: float = LOOKS_S
+    slows_s: float = INSPECTS_S
     slowly: float = 0.5
     stops_s: float = 2.0
     #: A visible target counts as found within this multiple of the distance at which the taught ways ended.
@@ -73,9 +73,9 @@ class PlannerConfig:
         """Total turn of looking around: to one side, back, and once round to the start."""
         return math.tau + 2.0 * math.radians(self.look_aside_deg)
 
-    def search_rad(self, field_deg: float) -> float:
+    def search_rad(self, field_rad: float) -> float:
         """Return the turn of a search at the goal: once round and a field of view more, for a base that slips."""
-        return math.tau + math.radians(field_deg)
+        return math.tau + field_rad
 
 
 PLANNER_CONFIG: Final = PlannerConfig()

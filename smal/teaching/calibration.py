@@ -4,6 +4,7 @@ Views are compared at poses with nearly the same heading, because a turned view 
 has the same heading twice. There a virtual view compensates the turn between two views, as in the filter.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,10 +18,11 @@ from smal.arrays import AnyArray, Bools, Float32s, Floats, Indices, Int8s, Int32
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
 from smal.features.extraction import in_parallel
 from smal.features.resizing import PIXELS, fitted
-from smal.files.packed import unpacked
+from smal.files.packed import unit, unpacked
 from smal.keyframes import MapConfig
 from smal.likelihood import Likelihood, standing_out
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
+from smal.teaching.demonstration import selected
 
 #: Returns the centred features (n, m) of n images.
 Describe = Callable[[Iterable[Image]], Float32s]
@@ -32,7 +34,7 @@ class CalibrationConfig:
 
     #: Candidates for the field of view of rectilinear and of equidistant lenses, as of cameras on robots.
     fields_deg: tuple[float, ...] = tuple(range(40, 125, 5))
-    wide_fields_deg: tuple[float, ...] = tuple(range(80, 205, 5))
+    wide_fields_deg: tuple[float, ...] = tuple(range(80, 225, 5))
     #: Candidates for the height of the camera, in correlation lengths, and for the distance of the scene, in heights.
     heights: tuple[float, ...] = tuple(0.1 * 1.5**k for k in range(7))
     distances: tuple[float, ...] = tuple(3.0 * 2.0**k for k in range(6))
@@ -57,6 +59,9 @@ class CalibrationConfig:
 CALIBRATION_CONFIG: Final = CalibrationConfig()
 #: Candidates for a camera of unknown field of view; the first is the default.
 USUAL_CAMERAS: Final = (Camera.of_field(70.0), Camera.of_field(140.0, "equidistant"))
+#: Correlation lengths between successive images at which their views are unrelated: a straight line
+#: from 1 at no way to the cosine of unrelated views is half way down at half of the way.
+_TOO_FAR: Final = 1.8
 #: Candidates for the turn between views of a fit: the views must overlap.
 _OVERLAP_DEG: Final = float(TURNS_DEG[-1])
 _TURNS_RAD: Final = np.radians(np.geomspace(1.0, _OVERLAP_DEG, 23)).tolist()
@@ -87,6 +92,8 @@ class TaughtFrames:
         Returns the centred features (n, m) of n images.
     movements : array (5, 2)
         Movement of each atom between two frames.
+    names : tuple of str
+        Name of each drive, for errors.
     odometry : bool
     camera : Camera, optional
         The given camera, or the camera of the turn measurement.
@@ -100,10 +107,22 @@ class TaughtFrames:
     drives: Int32s
     describe: Describe
     movements: Floats
+    names: tuple[str, ...] = ("",)
     odometry: bool = True
     camera: Camera | None = None
     config: CalibrationConfig = CALIBRATION_CONFIG
     pixels: tuple[int, int] = PIXELS
+
+    @property
+    def listed(self) -> str:
+        """Names of the first drives, for errors."""
+        more = len(self.names) - 3
+        return ", ".join(self.names[:3]) + f" and {more} more" * (more > 0)
+
+    @property
+    def unit(self) -> str:
+        """Unit of lengths, for errors."""
+        return "m" if self.odometry else "forward actions"
 
     @cached_property
     def car(self) -> bool:
@@ -136,6 +155,19 @@ class TaughtFrames:
                 first = good[0]
                 found.append(_Pair(frame, int(after[first]), tuple(steps[first].tolist())))
         return found
+
+    def of_drives(self, drives: Indices) -> "TaughtFrames":
+        """Return the frames of some drives."""
+        some = np.flatnonzero(np.isin(self.drives, drives))
+        _, numbers = np.unique(self.drives[some], return_inverse=True)
+        return replace(
+            self,
+            images=selected(self.images, some.tolist()),
+            centred=lambda frames: self.centred(some[list(frames)].tolist()),
+            poses=self.poses[some],
+            drives=numbers.astype(np.int32),
+            names=tuple(self.names[drive] for drive in drives.tolist()),
+        )
 
     def best(self, scenes: Sequence[Scene], pairs: Sequence[_Pair]) -> Scene:
         """Return the scene that predicts the second views of pairs best from the first."""
@@ -270,7 +302,7 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
     Raises
     ------
     ValueError
-        If no drive goes anywhere, or all images look the same.
+        If no drive goes anywhere, all images look the same, or frames are too far apart.
     """
     ways = []
     cosines = []
@@ -294,27 +326,46 @@ def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, flo
         overlap = near & ~same & (turned < math.radians(_OVERLAP_DEG))
         curves.append(some[np.argwhere(np.triu(overlap))])
     if not ways:
-        raise ValueError("the robot does not move in any demonstration")
+        stays = "the odometry does not change" if frames.odometry else "no action goes ahead"
+        raise ValueError(f"the robot does not move in {frames.listed}: {stays}")
     if blind:
-        raise ValueError("all images of the demonstrations look the same")
+        raise ValueError(
+            f"all images of {frames.listed} look the same; check that they are images of the camera"
+        )
     if frames.car:
         way, cosine = _turns_undone(frames, camera, np.concatenate(curves))
         ways = [way, *ways]
         cosines = [cosine, *cosines]
     unrelated = float(np.concatenate(distant).mean())
-    length = _length_of(np.concatenate(ways), np.concatenate(cosines), unrelated)
+    length = _length_of(frames, np.concatenate(ways), np.concatenate(cosines), unrelated)
     return length, unrelated
 
 
-def _length_of(way: Floats, cosine: AnyArray, unrelated: float) -> float:
+def _too_far_apart(frames: TaughtFrames, length: float) -> str:
+    """Return the error of frames between which views change entirely, for the worst drive."""
+    apart = []
+    for drive in range(len(frames.names)):
+        steps = np.hypot(*np.diff(frames.poses[frames.drives == drive, :2], axis=0).T)
+        apart.append(float(np.median(steps[steps > 0.0])) if steps.any() else 0.0)
+    worst = int(np.argmax(apart))
+    return (
+        f"demonstration {frames.names[worst]}: successive images are {apart[worst]:.2g} "
+        f"{frames.unit} apart, but nothing stays alike over {length:.2g} {frames.unit}; drive more "
+        "slowly or record more images a second, and check that the images fit the movement"
+    )
+
+
+def _length_of(frames: TaughtFrames, way: Floats, cosine: AnyArray, unrelated: float) -> float:
     """Return the way over which the mean cosine falls half way to the cosine of unrelated views."""
     reach = float(way.max())
-    while True:
-        if not (way[way <= reach] > 0.0).any():
-            raise ValueError(
-                "the images of the drives are too far apart: neighbouring images have nothing in "
-                "common; record more images a metre, or drive more slowly"
-            )
+    least = float(way[way > 0.0].min(initial=math.inf))
+    if reach == 0.0:
+        raise ValueError(
+            f"the robot turns all the time in {frames.listed}: no two places near each other have "
+            "views of one heading; drive a straight stretch, or record more images a second"
+        )
+    length = 0.0
+    while least <= reach:
         edges = np.linspace(0.0, reach, 100)
         within = way <= reach
         bins = np.digitize(way[within], edges[1:-1])
@@ -325,9 +376,12 @@ def _length_of(way: Floats, cosine: AnyArray, unrelated: float) -> float:
         middles = (edges[:-1] + edges[1:]) / 2.0
         length = _half_way(middles[full], mean, count[full], unrelated)
         # A short length lies within the first few bins: repeat with finer bins.
+        if least > _TOO_FAR * length:
+            break
         if length > 0.1 * reach:
             return length
         reach = 4.0 * length
+    raise ValueError(_too_far_apart(frames, length))
 
 
 def compared_frames(count: int, most: int) -> Indices:
@@ -431,13 +485,17 @@ class _KeyframeViews:
         cosine = unpacked(self.views[other, 1, turn]) @ own
         return float(standing_out(cosine, self.sample @ own))
 
-    def wrong_ways(self, keys: Indices, blocks: Indices, least: float) -> Iterator[Floats]:
+    def wrong_ways(
+        self, keys: Indices, own: Float32s, blocks: Indices, least: float
+    ) -> Iterator[Floats]:
         """Compare a robot's way with the ways of equally many keyframes from each keyframe of each block.
 
         Parameters
         ----------
         keys : array (s,)
             The robot's way.
+        own : array (s, r)
+            The robot's views there.
         blocks : array (n,)
             First keyframes of blocks of s keyframes. Blocks near the robot's way, or not on its drive, are skipped.
         least : float
@@ -449,7 +507,6 @@ class _KeyframeViews:
             z by the start of the way in the block, the step on the way, and the view that is kept on it.
         """
         steps = np.arange(keys.size)
-        own = self.own(keys)
         samples = own @ self.sample.T
         for block in blocks:
             rows = np.arange(block, block + 2 * keys.size - 1)
@@ -467,6 +524,7 @@ def likelihood_of_views(
     frames: TaughtFrames,
     keyframes: Int32s,
     views: Int8s,
+    basis: Float32s,
     length: float,
     config: MapConfig,
 ) -> tuple[Likelihood, float]:
@@ -474,6 +532,10 @@ def likelihood_of_views(
 
     The neighbours of a keyframe show the same place. Keyframes further away than `MapConfig.elsewhere` on the same
     drive show other places. Without such places (a short drive in one room) the distributions of elsewhere are normal.
+
+    A robot elsewhere sees another taught place, or a view that no drive has shown, such as the way back. Views of the
+    second kind are like the taught ones in light, texture and layout, so that they resemble some taught view more than
+    taught views resemble each other. Mirrored taught views stand for them.
 
     Particles at a wrong place follow the start, the side and the turn that suit the views best. Elsewhere is measured
     so: over a correlation length of keyframes, on the way of a block whose mean z is largest.
@@ -483,6 +545,7 @@ def likelihood_of_views(
     frames : TaughtFrames
     keyframes : array (k,)
     views : array (k, 3, turns, r)
+    basis : array (m, r)
     length : float
         Correlation length.
     config : MapConfig
@@ -513,10 +576,17 @@ def likelihood_of_views(
     here = [z for z in neighbouring if z is not None]
     if not here:
         raise ValueError(
-            "no keyframe has a neighbour on its drive, so that the likelihood of views cannot be measured; "
-            "record longer drives, or more images a metre"
+            f"no two neighbouring views overlap in {frames.listed}: the robot turns by more than "
+            f"{_OVERLAP_DEG:g} degrees from an image to the next; turn more slowly, or record more "
+            "images a second"
         )
-    fixed, followed, chains = _elsewhere(taught, length, frames.config, config)
+
+    def mirrored(keys: Indices) -> Float32s:
+        images = (np.ascontiguousarray(frames.images[k][:, ::-1]) for k in keyframes[keys].tolist())
+        return unit(frames.describe(images) @ basis)
+
+    seen_by = (taught.own, mirrored)
+    fixed, followed, chains = _elsewhere(taught, seen_by, length, frames.config, config)
     correlation = _correlation(chains)
     gamma = gamma_of(float(np.mean(alike)), correlation)
     independent = _independent(taught.poses, drives, length)
@@ -524,11 +594,15 @@ def likelihood_of_views(
 
 
 def _elsewhere(
-    taught: _KeyframeViews, length: float, config: CalibrationConfig, map_config: MapConfig
+    taught: _KeyframeViews,
+    seen_by: Sequence[Callable[[Indices], Float32s]],
+    length: float,
+    config: CalibrationConfig,
+    map_config: MapConfig,
 ) -> tuple[Floats, Floats, Floats]:
     """Return z at fixed views of other places, z on the best of neighbouring wrong ways, and pairs of following z.
 
-    The shapes are (n,), (m,) and (2, p).
+    The shapes are (n,), (m,) and (2, p). Each function of `seen_by` returns views of robots at keyframes, (s, r).
     """
     steps = map_config.views_a_length
     count = len(taught.drives)
@@ -541,7 +615,9 @@ def _elsewhere(
         keys = np.arange(first, first + steps)
         if taught.drives[keys[0]] != taught.drives[keys[-1]]:
             continue
-        for z in taught.wrong_ways(keys, blocks, map_config.elsewhere * length):
+        least = map_config.elsewhere * length
+        ways = [taught.wrong_ways(keys, views(keys), blocks, least) for views in seen_by]
+        for z in itertools.chain(*ways):
             fixed.append(z.ravel())
             start, view = np.unravel_index(z.mean(axis=1).argmax(), z[:, 0].shape)
             followed.append(z[start, :, view])

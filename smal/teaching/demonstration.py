@@ -1,7 +1,7 @@
 """Demonstrations: drives with camera images, executed movements, and odometry."""
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import call
@@ -27,9 +27,9 @@ _T = TypeVar("_T", bound=np.generic)
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """A drive of a person or the expert, or a part of one: f frames.
+    """A drive of a person or the expert, or a part of it: f frames.
 
-    A drive with lost frames has several parts.
+    A drive with lost frames has several parts, in the order of time.
 
     Raises
     ------
@@ -60,6 +60,8 @@ class Demonstration:
     ahead: Float32s | None = None
     #: Drawn position of the goal in the last image: left, top, right, bottom, as shares of its size.
     box: Box | None = None
+    #: Ticks that were lost between the part before and this part.
+    lost: int = 0
 
     def __post_init__(self) -> None:
         shape = getattr(self.features, "shape", (len(self.features), None))
@@ -143,9 +145,19 @@ def tasks_of(arrays: AnyArray | Sequence[AnyArray], numbers: Sequence[int]) -> S
     return Made(len(numbers), lambda k: partial(task_of, arrays, numbers[k]))
 
 
-def described(images: Sequence[Image], features: FeatureSettings) -> Made:
-    """Return the raw features of images, each computed on access."""
-    return Made(len(images), lambda frame: partial(_extracted, task_of(images, frame), features))
+def selected(arrays: AnyArray | Sequence[AnyArray], numbers: Sequence[int]) -> Made:
+    """Return some arrays of a sequence, lazily."""
+    return Made(len(numbers), lambda k: task_of(arrays, numbers[k]))
+
+
+def described(images: Sequence[Image], features: FeatureSettings, drive: str = "") -> Made:
+    """Return the raw features of images, each computed on access; errors name the drive."""
+
+    def task(frame: int) -> Task:
+        where = f"{drive}, frame {frame}: " if drive else ""
+        return partial(_extracted, task_of(images, frame), features, where)
+
+    return Made(len(images), task)
 
 
 def seen_by(images: Sequence[Image], features: FeatureSettings) -> Made:
@@ -157,8 +169,11 @@ def _shrunk(image: Task, features: FeatureSettings) -> Image:
     return looked_at(image(), features)
 
 
-def _extracted(image: Task, features: FeatureSettings) -> Float32s:
-    return extract(image(), features)
+def _extracted(image: Task, features: FeatureSettings, where: str) -> Float32s:
+    try:
+        return extract(image(), features)
+    except ValueError as error:
+        raise ValueError(f"{where}{error}") from None
 
 
 def chained(parts: Sequence[Sequence[AnyArray] | AnyArray]) -> Made:
@@ -173,32 +188,71 @@ def chained(parts: Sequence[Sequence[AnyArray] | AnyArray]) -> Made:
     return Made(int(ends[-1]), task)
 
 
-def drives_to_goals(
-    demonstrations: Iterable[Demonstration],
-) -> list[tuple[tuple[str, ...], Demonstration]]:
-    """Return the drives that reached their goal and have images, each with the names of its parts.
+@dataclass(frozen=True)
+class Use:
+    """How many frames of a drive teach."""
 
-    Parts of a drive with odometry are joined, because the way between them is known. Without odometry only the last
-    part counts.
-    """
+    drive: str
+    frames: int
+    used: int
+    #: Why frames do not teach, or how gaps between frames were bridged.
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A whole drive: its parts joined."""
+
+    #: Names of its parts.
+    names: tuple[str, ...]
+    whole: Demonstration
+    #: Ticks that were lost after a frame, by frame.
+    gaps: Mapping[int, int]
+
+    @property
+    def name(self) -> str:
+        """Name of the drive."""
+        return self.whole.episode or self.whole.name
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.whole.atoms)
+
+    @property
+    def unfit(self) -> str:
+        """Why no map can be learned from the drive; empty if a map can."""
+        if self.whole.images is None:
+            return "it has no images"
+        if not self.whole.successful:
+            return "it does not end at the goal"
+        return ""
+
+
+def whole_drives(demonstrations: Iterable[Demonstration]) -> list[Drive]:
+    """Join the parts of each drive."""
     drives: dict[str, list[Demonstration]] = {}
     for demonstration in demonstrations:
         drives.setdefault(demonstration.episode or demonstration.name, []).append(demonstration)
-    whole = []
-    for parts in drives.values():
-        kept = parts if all(part.odometry is not None for part in parts) else parts[-1:]
-        images = [part.images for part in kept if part.images is not None]
-        if kept[-1].successful and len(images) == len(kept):
-            joined = replace(
-                kept[-1],
-                features=chained([part.features for part in kept]),
-                atoms=_together([part.atoms for part in kept]),
-                images=chained(images),
-                odometry=_joined([part.odometry for part in kept]),
-                ahead=_joined([part.ahead for part in kept]),
-            )
-            whole.append((tuple(part.name for part in kept), joined))
-    return whole
+    return [_whole(parts) for parts in drives.values()]
+
+
+def _whole(parts: Sequence[Demonstration]) -> Drive:
+    images = [part.images for part in parts if part.images is not None]
+    ends = np.cumsum([len(part.atoms) for part in parts]).tolist()
+    later = zip(ends[:-1], parts[1:], strict=True)
+    joined = replace(
+        parts[-1],
+        features=chained([part.features for part in parts]),
+        atoms=_together([part.atoms for part in parts]),
+        images=chained(images) if len(images) == len(parts) else None,
+        odometry=_joined([part.odometry for part in parts]),
+        ahead=_joined([part.ahead for part in parts]),
+        lost=parts[0].lost,
+    )
+    return Drive(
+        tuple(part.name for part in parts), joined, {end - 1: part.lost for end, part in later}
+    )
 
 
 def _joined(parts: Sequence[NDArray[_T] | None]) -> NDArray[_T] | None:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from smal.arrays import Bools, Float32s, Floats, Indices, Int8s
-from smal.camera import Camera, Image, Scene
+from smal.camera import Camera, Image
 from smal.features import extract
 from smal.features.extraction import in_parallel, looked_at
 from smal.features.resizing import fitted
@@ -29,7 +29,7 @@ from smal.movement import Atom, Movement, dead_reckoning, seen_from
 from smal.planning import Planner
 from smal.planning.config import PLANNER_CONFIG
 from smal.robot import Localizer
-from smal.teaching.demonstration import Demonstration, check_features, drives_to_goals
+from smal.teaching.demonstration import Demonstration, check_features
 from smal.teaching.mapping import virtual_poses
 
 #: Accepted loss of log likelihood of a view under a new map: a hundredth of the information of views.
@@ -73,11 +73,6 @@ class Verdict:
     def better(self) -> bool:
         """Whether the new map is accepted."""
         return self.stretches > 0 and self.least > -_MAY_LOSE and not self.false_goals
-
-
-def whole_runs(runs: Sequence[Demonstration]) -> list[Demonstration]:
-    """Return the runs that ended at a goal and have images, with their parts joined."""
-    return [run for _, run in drives_to_goals(runs)]
 
 
 def localise(model: Model, run: Demonstration) -> LocalisedRun:
@@ -155,7 +150,7 @@ def _variant(model: Model, run: Demonstration, frame: int, offset: Floats) -> In
     """Return the virtual views (3, turns, r) of a keyframe, warped from a frame beside it."""
     taught = model.mapped
     image = cast("Sequence[Image]", run.images)[frame]
-    scene = Scene(cast("Camera", run.camera), *taught.scene[1:].tolist())
+    scene = replace(taught.scene, camera=cast("Camera", run.camera))
     steps = seen_from(np.array(virtual_poses(taught.aside)), offset).tolist()
     image = looked_at(image, model.feature_settings)
     shape = fitted(image.shape, model.feature_settings.pixels)
@@ -215,7 +210,7 @@ def update_map(
     runs: Sequence[Demonstration],
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> tuple[Model, Verdict]:
-    """Learn from every second run (`whole_runs`), compare on the others, and return the better model.
+    """Learn from every second run (`Drive.whole`), compare on the others, and return the better model.
 
     Parameters
     ----------

@@ -4,6 +4,7 @@ Read `learn` from top to bottom.
 """
 
 import math
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache, partial
 from typing import Any, TypeVar
@@ -11,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.linalg import eigh
 
-from smal.arrays import Float32s, Floats, Int8s, Int32s, evenly
+from smal.arrays import Float32s, Floats, Indices, Int8s, Int32s, evenly
 from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
 from smal.features import Centering, FeatureSettings, extract
 from smal.features.detectors import Detection
@@ -21,7 +22,7 @@ from smal.files.packed import packed, unit
 from smal.keyframes import MAP_CONFIG, MapConfig, shows_same, without_detours
 from smal.map import VisualMap, beside, way_from
 from smal.model import Model
-from smal.movement import Atom, dead_reckoning
+from smal.movement import Atom
 from smal.obstacles.strange import GROUND_CONFIG, Ground, colours_of, extreme, patches, swept
 from smal.sought.learning import Box, Taught, learn_sight, learn_word
 from smal.sought.sight import Sight
@@ -39,22 +40,31 @@ from smal.teaching.calibration import (
     turn_of_views,
 )
 from smal.teaching.demonstration import (
-    USUAL_GOAL,
     Demonstration,
+    Drive,
     Task,
+    Use,
     chained,
     check_features,
-    described,
-    drives_to_goals,
     every,
     seen_by,
     tasks_of,
+    whole_drives,
 )
+from smal.teaching.from_arrays import demonstrations_of
+from smal.teaching.gaps import reckoned
 from smal.teaching.movements import atom_movements
 from smal.teaching.stitches import stitched
 
 T = TypeVar("T")
 Progress = Callable[[str, int, int], None]
+Report = Callable[[Use], None]
+
+
+def warn_of_unused(use: Use) -> None:
+    """Warn of a drive that does not teach."""
+    if not use.used:
+        warnings.warn(f"drive {use.drive} does not teach: {use.note}", stacklevel=2)
 
 
 def learn(
@@ -63,12 +73,14 @@ def learn(
     tick_s: float = 0.1,
     progress: Progress = lambda _stage, _done, _total: None,
     parallel: Parallel = in_parallel,
+    report: Report = warn_of_unused,
     config: MapConfig = MAP_CONFIG,
 ) -> Model:
     """Build a map from the drives of one robot that reached the goal and have images.
 
     If a drive has no odometry, all drives use the usual movements of atoms. A forward atom then has the length 1, and
-    the turn of a turning atom is measured on the views (`turn_of_views`).
+    the turn of a turning atom is measured on the views (`turn_of_views`). Gaps in a drive are bridged: by odometry, or
+    by how much the views on both sides differ (`smal.teaching.gaps`).
 
     Parameters
     ----------
@@ -81,33 +93,38 @@ def learn(
         Called with the stage ("frames", "views" of keyframes), the finished number, and the total.
     parallel : callable
         Runs the slow computations on images; by default threads.
+    report : callable
+        Called with the `Use` of each drive; by default it warns of drives that do not teach.
     config : MapConfig
         Parameters of the map; the model stores them.
 
     Raises
     ------
     ValueError
-        If there is no suitable drive, a robot hardly moves, or the features do not fit or need depth.
+        If there is no suitable drive, the robot moves in none, or the features do not fit or need depth.
     """
     features = FeatureSettings() if features is None else features
-    whole = _drives_to_map(demonstrations, features, tick_s)
-    taught = [drive for _, drive in whole]
-    images = chained(list(_known(drive.images for drive in taught)))
-    total = sum(len(drive.atoms) for drive in taught)
-    described = chained([drive.features for drive in taught])
-    rows = _told(progress, "frames", every(described, parallel), total)
-    kept = _Kept(described, [len(drive.atoms) for drive in taught])
+    drives = _drives_to_map(demonstrations, features, tick_s, report)
+    described = chained([drive.whole.features for drive in drives])
+    rows = _told(progress, "frames", every(described, parallel), len(described))
+    kept = _Kept(described, [drive.frames for drive in drives])
     centering = Centering.fit(map(kept.keep, rows), features)
-    frames = _frames(taught, kept, centering, tick_s, config)
+    frames = _frames(drives, kept, centering, tick_s, config)
     camera = frames.camera or fit_camera(frames)
     length, unrelated = correlation_length(frames, camera)
-    _check_extent(frames, [names[0] for names, _ in whole], length / config.views_a_length)
+    moving = _moving(frames, drives, length / config.views_a_length, report)
+    frames = frames.of_drives(moving)
+    drives = [drives[number] for number in moving.tolist()]
+    for drive in drives:
+        report(Use(drive.name, drive.frames, drive.frames, _note(drive, frames.odometry, tick_s)))
+    taught = [drive.whole for drive in drives]
+    images = chained(list(_known(drive.images for drive in taught)))
     aside = config.aside * length
     scene = fit_scene(frames, camera, length)
     keyframes = _choose_keyframes(frames.poses, frames.drives, length, config)
     views_of = partial(_views_of, scene, aside, centering)
     views, basis = _make_views(frames, keyframes, views_of, progress, parallel, config)
-    likelihood, correlation = likelihood_of_views(frames, keyframes, views, length, config)
+    likelihood, correlation = likelihood_of_views(frames, keyframes, views, basis, length, config)
     grey = np.full_like(frames.images[0], 128)
     height, width = images[0].shape[:2]
     visual_map = VisualMap(
@@ -125,9 +142,9 @@ def learn(
         movements=frames.movements,
         tick_s=tick_s,
         odometry=frames.odometry,
-        scene=np.array([camera.field_deg, scene.height, scene.distance]),
+        scene=scene,
         goals=tuple(drive.goal for drive in taught),
-        names=tuple(names for names, _ in whole),
+        names=tuple(drive.names for drive in drives),
         size=(width, height),
         config=config,
     )
@@ -138,9 +155,12 @@ def learn(
 
 
 def _drives_to_map(
-    demonstrations: Sequence[Demonstration], features: FeatureSettings, tick_s: float
-) -> list[tuple[tuple[str, ...], Demonstration]]:
-    """Return the drives for the map, each with the names of its parts; errors are as in `learn`."""
+    demonstrations: Sequence[Demonstration],
+    features: FeatureSettings,
+    tick_s: float,
+    report: Report,
+) -> list[Drive]:
+    """Return the drives that are fit for the map, and report the others; errors are as in `learn`."""
     check_features(demonstrations, features.size)
     if features.needs != {"color"}:
         raise ValueError(
@@ -148,18 +168,44 @@ def _drives_to_map(
         )
     if not (math.isfinite(tick_s) and tick_s > 0.0):
         raise ValueError(f"tick_s must be finite and positive, got {tick_s}")
-    whole = drives_to_goals(demonstrations)
-    if not whole:
-        raise ValueError("no drive reached the goal and has images")
-    return whole
+    drives = whole_drives(demonstrations)
+    unfit = [drive for drive in drives if drive.unfit]
+    for drive in unfit:
+        report(Use(drive.name, drive.frames, 0, drive.unfit))
+    if len(unfit) == len(drives):
+        reasons = ", ".join(f"{drive.name}: {drive.unfit}" for drive in unfit[:3])
+        raise ValueError(f"no drive reached the goal and has images ({reasons})")
+    return [drive for drive in drives if not drive.unfit]
 
 
-def _check_extent(frames: TaughtFrames, names: Sequence[str], least: float) -> None:
-    """Raise ValueError for a drive in which the robot moves less than `least`."""
-    for drive, name in enumerate(names):
-        extent = np.ptp(frames.poses[frames.drives == drive, :2], axis=0)
-        if np.hypot(*extent) < least:
-            raise ValueError(f"demonstration {name}: the robot hardly moves in it; leave it out")
+def _moving(frames: TaughtFrames, drives: Sequence[Drive], least: float, report: Report) -> Indices:
+    """Return the numbers of the drives in which the robot moves by `least`, and report the others."""
+    moving = []
+    for number, drive in enumerate(drives):
+        extent = float(np.hypot(*np.ptp(frames.poses[frames.drives == number, :2], axis=0)))
+        if extent < least:
+            moved = f"the robot hardly moves: by {extent:.2g} of at least {least:.2g} {frames.unit}"
+            report(Use(drive.name, drive.frames, 0, moved))
+        else:
+            moving.append(number)
+    if not moving:
+        raise ValueError(
+            f"the robot hardly moves in {frames.listed}: by less than {least:.2g} {frames.unit}, "
+            "within which views are alike; record a longer drive"
+        )
+    return np.array(moving)
+
+
+def _note(drive: Drive, odometry: bool, tick_s: float) -> str:
+    """Return how the gaps of a drive were bridged, and whether its odometry is unused."""
+    notes = []
+    if drive.gaps:
+        lost_s = tick_s * sum(drive.gaps.values())
+        gaps = f"{len(drive.gaps)} gap{'s' * (len(drive.gaps) > 1)} ({lost_s:.1f} s)"
+        notes.append(f"{gaps} bridged by {'odometry' if odometry else 'views'}")
+    if drive.whole.odometry is not None and not odometry:
+        notes.append("odometry unused, because another drive has none")
+    return "; ".join(notes)
 
 
 def fit(
@@ -168,6 +214,7 @@ def fit(
     goals: Sequence[str] | None = None,
     camera: Camera | None = None,
     tick_s: float = 0.1,
+    progress: Progress = lambda _stage, _done, _total: None,
     parallel: Parallel = in_parallel,
 ) -> Model:
     """Learn a model from images and the movements at each of them.
@@ -184,8 +231,15 @@ def fit(
         By default estimated from the images.
     tick_s : float
         Time between two images, seconds.
+    progress : callable
+        Called with the stage ("frames", "views" of keyframes), the finished number, and the total.
     parallel : callable
         `map` of an executor (`concurrent.futures`), for more cores or machines.
+
+    Raises
+    ------
+    ValueError
+        If a drive is invalid; the error names the drive, the frame and the remedy. As in `learn`.
 
     Examples
     --------
@@ -195,29 +249,7 @@ def fit(
     """
     features = FeatureSettings() if features is None else features
     demonstrations = demonstrations_of(drives, features, goals, camera)
-    return learn(demonstrations, features, tick_s, parallel=parallel)
-
-
-def demonstrations_of(
-    drives: Sequence[tuple[Any, ...]],
-    features: FeatureSettings,
-    goals: Sequence[str] | None = None,
-    camera: Camera | None = None,
-) -> list[Demonstration]:
-    """Return drives as demonstrations whose features are computed on access; see `fit`."""
-    goals = [USUAL_GOAL] * len(drives) if goals is None else goals
-    return [
-        Demonstration(
-            f"drive-{number}",
-            described(images, features),
-            np.asarray(atoms, dtype=np.int8),
-            images=images,
-            odometry=np.asarray(odometry[0], dtype=np.float64) if odometry else None,
-            goal=goal,
-            camera=camera,
-        )
-        for number, ((images, atoms, *odometry), goal) in enumerate(zip(drives, goals, strict=True))
-    ]
+    return learn(demonstrations, features, tick_s, progress, parallel)
 
 
 class _Kept:
@@ -256,13 +288,14 @@ def _centred(centering: Centering, features: "_Kept", some: Iterable[int]) -> Fl
 
 
 def _frames(
-    taught: Sequence[Demonstration],
+    drives: Sequence[Drive],
     features: "_Kept",
     centering: Centering,
     tick_s: float,
     config: MapConfig,
 ) -> TaughtFrames:
     """Concatenate drives, with poses by odometry or by the usual movements of atoms."""
+    taught = [drive.whole for drive in drives]
     images = chained(list(_known(drive.images for drive in taught)))
     images = seen_by(images, centering.settings)
     pixels = centering.settings.pixels
@@ -280,25 +313,48 @@ def _frames(
     else:
         tried = tuple(cameras[:1]) or USUAL_CAMERAS
         usual = tried[0], math.radians(config.usual_turn_deg_s) * tick_s
-        camera, turn_rad = turn_of_views(images, atoms, tried, describe, pixels=pixels) or usual
+        whole = [_without_gaps(drive) for drive in drives]
+        camera, turn_rad = turn_of_views(images, whole, tried, describe, pixels=pixels) or usual
         ahead = _ahead_in_turns(taught)
         movements = np.array(
             [[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [ahead, turn_rad], [ahead, -turn_rad]]
         )
-        ways = [dead_reckoning(drive, movements) for drive in atoms]
+        ways = _reckoned(drives, movements, centred)
     numbers = np.arange(len(ways), dtype=np.int32)
-    drives = np.repeat(numbers, [len(way) for way in ways])
     return TaughtFrames(
         images,
         centred,
         np.concatenate(ways),
-        drives,
+        np.repeat(numbers, [drive.frames for drive in drives]),
         describe,
         movements,
+        tuple(drive.name for drive in drives),
         odometry,
         camera,
         pixels=pixels,
     )
+
+
+def _without_gaps(drive: Drive) -> Int8s:
+    """Return the atoms of a drive, with a stop where frames were lost."""
+    atoms = drive.whole.atoms.copy()
+    atoms[list(drive.gaps)] = Atom.STOP
+    return atoms
+
+
+def _reckoned(
+    drives: Sequence[Drive], movements: Floats, centred: Callable[[Iterable[int]], Float32s]
+) -> list[Floats]:
+    """Return the poses of each drive by the usual movements of atoms."""
+
+    def centred_from(first: int, frames: Iterable[int]) -> Float32s:
+        return centred(first + frame for frame in frames)
+
+    starts = np.cumsum([0, *(drive.frames for drive in drives[:-1])]).tolist()
+    return [
+        reckoned(drive.whole.atoms, movements, drive.gaps, partial(centred_from, start))
+        for drive, start in zip(drives, starts, strict=True)
+    ]
 
 
 def _known(values: Iterable[T | None]) -> Iterator[T]:
@@ -368,7 +424,7 @@ def _ground(pictures: Sequence[Image], mapped: VisualMap) -> Ground:
     def strangest(key: int) -> float:
         others = np.setdiff1d(beside(mapped, key, GROUND_CONFIG.keyframes), key)
         way = way_from(mapped, key, np.zeros(3), swept(mapped.speed))
-        _, score = patches(pictures[key], colours[others], way, mapped.scene)
+        _, score = patches(pictures[key], colours[others], way, mapped)
         return float(score.max(initial=0.0))
 
     # A drive of one keyframe has no neighbours.

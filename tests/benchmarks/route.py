@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from smal.camera import STRAIGHT, TURNS_DEG
+from smal.camera import STRAIGHT, TURNS_DEG, Camera, Scene
 from smal.features import Centering, FeatureSettings
 from smal.files.packed import packed, unpacked
 from smal.keyframes import MAP_CONFIG
@@ -26,7 +26,8 @@ from smal.map import VisualMap
 from smal.model import Model
 from smal.planning import Planner
 from smal.robot import Localizer
-from smal.teaching.mapping import demonstrations_of, learn
+from smal.teaching.from_arrays import demonstrations_of
+from smal.teaching.mapping import learn
 from tests.benchmarks.reporting import Parser, say, table, verdict
 from tests.smal.synthetic_world import Room, drive
 
@@ -74,7 +75,7 @@ def map_of(metres: float, components: int) -> Model:
         movements=np.array([(0.0, 0.0), (step, 0.0), (-step, 0.0), (0.0, turn), (0.0, -turn)]),
         tick_s=0.1,
         odometry=True,
-        scene=np.ones(3),
+        scene=Scene(Camera(0.7), 1.0, 1.0),
         goals=("victim",),
         names=(("made up",),),
         size=(64, 48),

@@ -20,7 +20,7 @@ from mcap.writer import CompressionType, Writer
 from schemas.base import Strict
 from services.recordings.sink import partial_of
 from services.recordings.writer import EpisodeWriter
-from smal.camera import TURNS_DEG
+from smal.camera import TURNS_DEG, Camera, Scene
 from smal.features import Centering, FeatureSettings
 from smal.files import container
 from smal.files.stored import FORMAT_VERSION
@@ -151,7 +151,7 @@ def smallest_map() -> Model:
         movements=np.array([(0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 0.1), (0.0, -0.1)]),
         tick_s=0.1,
         odometry=True,
-        scene=np.ones(3),
+        scene=Scene(Camera(0.7), 1.0, 1.0),
         goals=("victim",),
         names=(("drive-1",),),
         size=(64, 48),

@@ -117,7 +117,6 @@ def test_model_is_refused_or_usable_when_its_header_is_nonsense(
         ("views", np.ones((2, 3, 17, 1), np.float32)),
         ("views", np.ones((2, 3, 16, 1), np.int8)),
         ("movements", np.full((5, 2), np.nan)),
-        ("scene", np.ones(2)),
         ("mean", np.full(128, np.nan, np.float32)),
         ("more", np.ones(2)),
         ("mean", None),

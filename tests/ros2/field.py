@@ -262,7 +262,7 @@ def day_with(robot: Robot) -> Iterator[tuple[Field, Person]]:
         stacked.enter_context(pytest.MonkeyPatch.context()).setenv("SMAL_ATTENDED", "false")
         place = stacked.enter_context(robot_for(robot))
         settings = {
-            "robot": flags(ros2_config=place.config()),
+            "robot": flags(robot_config=place.config()),
             "console": flags(console="127.0.0.1:0"),
         }
         # What another day has learned lies beside this one.

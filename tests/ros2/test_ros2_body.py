@@ -15,10 +15,10 @@ from schemas.base import KEYS, Velocity
 from services.kit.jpeg import decode_jpeg
 from services.kit.node import ServiceError
 from services.robot.gate import MAX_AGE_S
+from services.robot.wheel_track import WheelTrack
 from services.ros2 import messages
 from services.ros2.messages import MessageError
 from services.ros2.senses import picture
-from services.ros2.wheels import WheelTrack
 from tests.ros2.fake_turtlebot import encoded
 from tests.ros2.rig import AHEAD_S, BEGIN, CAMERA, ODOM, PICTURE, ROS, Rig
 
@@ -154,14 +154,14 @@ def test_motion_is_forbidden_when_an_obstacle_is_near(
 
 def test_message_is_refused_and_counted_when_it_is_invalid(rig: Rig) -> None:
     rig.begun()
-    before = rig.senses.wheels_at(rig.clock.now_s)
+    before = rig.senses.track.at(rig.clock.now_s)
     rig.clock.now_s += 0.01
     rig.wheels(math.nan)
     rig.wheels(2e6)
     rig.wheels(0.1, at_s=rig.clock.now_s - 0.5)
     for payload in (b"\0\1\0\0" + b"\xff" * 40, b"", bytes(100_000)):
         rig.senses.take(ODOM, payload)
-    assert rig.senses.wheels_at(rig.clock.now_s) == before
+    assert rig.senses.track.at(rig.clock.now_s) == before
     assert rig.senses.refused[ODOM] == 6
     rig.clock.now_s += 0.3  # what is refused is not heard either
     assert "/odom" in str(rig.body.detail()["lacks"])

@@ -8,13 +8,14 @@ from hypothesis import strategies as st
 
 from services.kit.errors import UsageError
 from services.robot.loop import STAND_WITHIN_S
-from services.ros2.config import known_presets, read_config
+from services.robot.real import known_presets
+from services.ros2.config import PRESETS, read_config
 from services.ros2.messages import Messages
 from services.ros2.senses import Senses
 from tests.command import run_smal
 
 
-@pytest.mark.parametrize("preset", known_presets())
+@pytest.mark.parametrize("preset", known_presets(PRESETS))
 def test_preset_needs_only_the_watchdog(preset: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(f"preset: {preset}\n")

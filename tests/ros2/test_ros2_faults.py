@@ -42,7 +42,7 @@ class Driven:
     def start(self) -> None:
         """Start the service."""
         with (self.place.robot.folder / "robot.log").open("ab") as log:
-            flags = f"--router {self.endpoint} --robot fake --attended false --ros2-config"
+            flags = f"--router {self.endpoint} --robot fake --attended false --robot-config"
             config = self.place.robot.folder / "fake.yaml"
             command = [sys.executable, "-m", "services.ros2", *flags.split(), str(config)]
             self.robot = subprocess.Popen(command, stdout=log, stderr=log)

@@ -51,3 +51,23 @@ def test_lens_is_monotone_beyond_its_calibration() -> None:
 @pytest.mark.parametrize("lens", ["plumb_bob", "equidistant"])
 def test_camera_has_its_field_of_view(lens: Lens) -> None:
     assert Camera.of_field(100.0, lens).field_deg == pytest.approx(100.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("field_deg", [60.0, 120.0, 160.0, 180.0, 220.0])
+def test_camera_has_its_field_when_no_lens_is_given(field_deg: float) -> None:
+    assert Camera.of_field(field_deg).field_deg == pytest.approx(field_deg, rel=1e-4)
+
+
+def test_field_is_rejected_when_the_lens_cannot_have_it() -> None:
+    with pytest.raises(
+        ValueError, match="plumb_bob must be above 0 and below 178 degrees, got 190"
+    ):
+        Camera.of_field(190.0, "plumb_bob")
+
+
+def test_rays_are_those_of_the_image_when_it_was_stretched() -> None:
+    camera = Camera(0.5, "equidistant", (0.1,), (0.05, -0.02))
+    whole = camera.rays((90, 160))
+    stretched = camera.rays((30, 40), aspect=90 / 160)
+    for part, same in zip(whole, stretched, strict=True):
+        np.testing.assert_allclose(part[1::3, 1::4], same, atol=0.02)

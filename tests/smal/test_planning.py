@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from schemas.base import Velocity
-from smal.camera import TURNS_DEG
+from smal.camera import TURNS_DEG, Camera, Scene
 from smal.filter import Belief, Filter
 from smal.likelihood import GRID, SHARES
 from smal.map import VisualMap
@@ -56,7 +56,7 @@ def map_of(
         ),
         tick_s=TICK,
         odometry=True,
-        scene=np.array([70.0, 0.3, 5.0]),
+        scene=Scene(Camera.of_field(70.0), 0.3, 5.0),
         goals=goals or ("victim",) * len(ways),
         names=tuple((f"drive-{k}",) for k in range(len(ways))),
         size=(64, 48),

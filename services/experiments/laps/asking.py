@@ -1,6 +1,5 @@
 """Learn one lap and localize each frame of the others, open loop, with every method."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -104,7 +103,7 @@ def _methods(taught: Demonstration, advance: Callable[[str, int, int], None]) ->
         found = {"SMAL without odometry": partial(_smal, blind)} | found
         if taught.odometry is not None:
             model = learn([taught], JUDGED, progress=advance)
-            repeat = TeachAndRepeat([taught], math.radians(float(model.mapped.scene[0])), told=True)
+            repeat = TeachAndRepeat([taught], model.mapped.field_rad, told=True)
             found = (
                 {"SMAL": partial(_smal, model)}
                 | found

@@ -53,7 +53,7 @@ def read_laps(
             run(ImportJob.model_validate(job | speeds), tally)
         files = find_recordings([Path(folder) if tub else source])
         teaching = Teacher(HELD, shortest=2).read_all(files, advance)
-    remarks = tally.lines() if tub else teaching.remarks
+    remarks = tally.lines() if tub else teaching.lines()
     try:
         laps = laps_of(teaching.demonstrations, reckoned=tub)
     except JobError as error:

@@ -10,7 +10,7 @@ from services.recordings.dataset import Teacher
 from services.recordings.recorded import episode_of
 from smal.model import Model
 from smal.paper.model import PaperModel
-from smal.teaching.demonstration import Demonstration, drives_to_goals
+from smal.teaching.demonstration import Demonstration, whole_drives
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +30,8 @@ def find_drives(model: Model | PaperModel, recordings: Iterable[Path]) -> Taught
     for path in recordings:
         teacher.read(path)
     recorded = {one.name: one for one in teacher.teaching.demonstrations}
-    whole = {(name,): one for name, one in recorded.items()} | dict(
-        drives_to_goals(recorded.values())
-    )
+    whole: dict[tuple[str, ...], Demonstration] = {(name,): one for name, one in recorded.items()}
+    whole |= {drive.names: drive.whole for drive in whole_drives(recorded.values())}
     found = {}
     missing = []
     for number, (parts, count, _) in enumerate(taught_drives(model)):
@@ -42,7 +41,7 @@ def find_drives(model: Model | PaperModel, recordings: Iterable[Path]) -> Taught
             missing.append(f"{printable(', '.join(parts))}: {fault}")
         else:
             found[number] = one
-    return TaughtDrives(found, tuple(missing), tuple(teacher.teaching.remarks))
+    return TaughtDrives(found, tuple(missing), tuple(teacher.teaching.lines()))
 
 
 def _fault(recorded: Demonstration | None, frames: int) -> str:

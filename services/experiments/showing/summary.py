@@ -87,8 +87,8 @@ def facts(model: Model | PaperModel, file: str, size: int) -> dict[str, str]:
 
 def _of_map(model: Model) -> dict[str, str]:
     taught = model.mapped
-    across, height, _ = taught.scene.tolist()
-    where = f", {height:.2f} m above the ground" if taught.odometry else ""
+    camera = taught.scene.camera
+    where = f", {taught.scene.height:.2f} m above the ground" if taught.odometry else ""
     return {
         "goals": ", ".join(_goal(model, goal) for goal in goals_of(model)),
         "map": f"{len(taught.keyframes)} keyframes of {counted(taught.drive_count, 'drive')}, {taught.basis.shape[1]} "
@@ -96,7 +96,7 @@ def _of_map(model: Model) -> dict[str, str]:
         f"a frame each {taught.tick_s:g} s",
         "view variants": f"{len(taught.variants)}, learned from runs",
         "odometry": "yes, in metres" if taught.odometry else "none: usual movement of actions",
-        "camera": f"{across:.0f} degrees wide{where}",
+        "camera": f"{camera.field_deg:.0f} degrees wide ({camera.lens}){where}",
         "drives": f"{taught.drive_count}, {len(taught.poses)} frames",
     }
 

@@ -140,7 +140,7 @@ def test_add_reports_model_that_cannot_learn_more(
     assert (status, out, "too few runs" in err.splitlines()[-1]) == (1, "", True)
     other = record(tmp_path, list(run("elsewhere", 0.0, "dock")))
     _, _, err = smal("learn", one, other, "--add", "--out", file)
-    assert "elsewhere: left out: the model has no goal dock" in err
+    assert "elsewhere left out: the model has no goal dock" in err
     assert "too few runs" in err.splitlines()[-1]
     assert "--add" in mistake(2, "learn", runs, "--add", "--out", file, "--modalities", "hog")
     corridor.paper_model().save(file)

@@ -2,7 +2,6 @@
 
 import gc
 import json
-import math
 import shutil
 import tracemalloc
 from pathlib import Path
@@ -22,10 +21,11 @@ from services.kit.errors import JobError
 from services.recordings.dataset import Teacher, find_recordings
 from services.recordings.reader import read_recording
 from services.recordings.writer import EpisodeWriter
+from smal.camera import Camera
 from smal.features import FeatureSettings
 from smal.model import Model
 from smal.paper.model import PaperModel
-from smal.teaching.demonstration import drives_to_goals
+from smal.teaching.demonstration import Use, whole_drives
 from tests import corridor
 from tests.services.recordings.recorded_messages import applied, event, header, seen
 from tests.services.recordings.test_recorder_files import leave, record
@@ -114,7 +114,7 @@ def test_learn_omits_episodes_when_they_must_not_teach(
     tmp_path: Path, purpose: Purpose, outcome: Outcome, reason: str
 ) -> None:
     path = record(tmp_path, drive("e", purpose=purpose, outcome=outcome))
-    assert teach(path).teaching.remarks == [f"{path}: episode e left out: {reason}"]
+    assert teach(path).teaching.uses == [Use("e", 40, 0, reason)]
     with pytest.raises(JobError, match="episode e left out"):
         learn(lessons=Lessons([path], tmp_path / "model.smal"))
 
@@ -124,7 +124,7 @@ def test_successful_runs_teach_on_request(tmp_path: Path) -> None:
         record(tmp_path, drive(name, purpose="run", outcome=outcome))
     taught = teach(tmp_path, include_runs=True).teaching
     assert [one.name for one in taught.demonstrations] == ["good"]
-    assert any("drove by itself without success (timeout)" in remark for remark in taught.remarks)
+    assert any("drove by itself without success (timeout)" in line for line in taught.lines())
 
 
 def test_a_gap_splits_a_drive(tmp_path: Path) -> None:
@@ -132,7 +132,8 @@ def test_a_gap_splits_a_drive(tmp_path: Path) -> None:
     teaching = teach(record(tmp_path, messages)).teaching
     assert [one.name for one in teaching.demonstrations] == ["e[0-9]", "e[13-39]"]
     assert [one.successful for one in teaching.demonstrations] == [False, True]
-    assert teaching.remarks == [f"{tmp_path}/e.mcap: episode e: 1 frames beside gaps left out"]
+    assert [one.lost for one in teaching.demonstrations] == [0, 3]
+    assert "e: 1 frames left out: without a movement" in teaching.remarks[0]
 
 
 def test_an_episode_teaches_once(drives: Path, tmp_path: Path) -> None:
@@ -140,9 +141,7 @@ def test_an_episode_teaches_once(drives: Path, tmp_path: Path) -> None:
     copy.write_bytes((drives / "drive-1.mcap").read_bytes())
     teaching = teach(drives, copy, drives / "drive-1.mcap").teaching
     assert len(teaching.demonstrations) == 4
-    assert teaching.remarks == [
-        f"{copy}: episode drive-1 left out: already in {drives / 'drive-1.mcap'}"
-    ]
+    assert teaching.uses == [Use("drive-1", 40, 0, f"already in {drives / 'drive-1.mcap'}")]
 
 
 def test_damaged_recordings_are_named_and_the_rest_teaches(
@@ -209,9 +208,10 @@ def test_learn_joins_the_rest_when_a_frame_is_incomplete(
     tmp_path: Path, kind: type[Message]
 ) -> None:
     lost = [m for m in drive("e") if not (isinstance(m, kind) and m.tick == 20)]
-    ((_, whole),) = drives_to_goals(teach(record(tmp_path, lost)).teaching.demonstrations)
+    (joined,) = whole_drives(teach(record(tmp_path, lost)).teaching.demonstrations)
+    assert joined.gaps == {19: 1}
     np.testing.assert_array_equal(
-        whole.odometry, [odometry(tick) for tick in range(40) if tick != 20]
+        joined.whole.odometry, [odometry(tick) for tick in range(40) if tick != 20]
     )
 
 
@@ -228,6 +228,4 @@ def test_the_camera_of_a_recording_is_that_of_the_map(tmp_path: Path) -> None:
     begins, *follows = drive("e", frames=20)
     path = record(tmp_path, [begins, info, *follows])
     learn(lessons=Lessons([path], tmp_path / "model.smal"))
-    assert Model.load(tmp_path / "model.smal").mapped.scene[0] == pytest.approx(
-        math.degrees(2.0 * math.atan(320.0 / 450.0))
-    )
+    assert Model.load(tmp_path / "model.smal").mapped.scene.camera == Camera(450.0 / 640.0)

@@ -147,7 +147,7 @@ def test_recordings_share_one_memory_limit(tmp_path: Path) -> None:
         teacher.read(path)
     too_much = [remark for remark in teacher.teaching.remarks if "more than 0.125 GiB" in remark]
     assert len(too_much) == 8 - ALLOWED // PADDING
-    assert teacher.teaching.episodes == ALLOWED // PADDING + 1
+    assert len(teacher.teaching.demonstrations) == ALLOWED // PADDING + 1
 
 
 def drive(path: Path, name: str, padding: bytes = b"", purpose: Purpose = "drive") -> Path:

@@ -52,7 +52,7 @@ def driven(watches: bool, box_m: float | None) -> tuple[Robot, list[tuple[str, f
     robot = Robot(model(), watches=watches)
     here = (0.0, 0.1, 0.0)
     did = []
-    for _ in range(40):
+    for _ in range(60):  # It may look around once first, for 20 frames.
         robot.step(view(here, box_m), here)
         did.append((robot.decision.kind, robot.decision.motion[0]))
         if robot.done:

@@ -12,8 +12,8 @@ from smal.filter import Filter
 from smal.map import VisualMap
 from smal.model import Model
 from smal.teaching import map_update
-from smal.teaching.demonstration import Demonstration
-from smal.teaching.map_update import compared, update_map, whole_runs, with_view_variants
+from smal.teaching.demonstration import Demonstration, whole_drives
+from smal.teaching.map_update import compared, update_map, with_view_variants
 from tests.smal.synthetic_world import CAMERA, COLOR, START, Drive, Image, Room, drive, usual_map
 
 #: Localising a run takes most of the time, and always gives the same.
@@ -103,7 +103,8 @@ def test_variants_are_bounded_and_keep_the_taught_one() -> None:
 
 
 def test_failed_run_or_run_without_images_teaches_nothing() -> None:
-    assert whole_runs([replace(run(7, 0.6), successful=False)]) == []
+    (failed,) = whole_drives([replace(run(7, 0.6), successful=False)])
+    assert failed.unfit == "it does not end at the goal"
     assert with_view_variants(model(), [replace(run(7, 0.6), camera=None)]) is model()
 
 

@@ -152,7 +152,7 @@ def test_drive_is_refused_when_its_views_are_too_far_apart() -> None:
     rng = np.random.default_rng(0)
     way = np.repeat(np.arange(0.0, 40.0), 3)
     views = unit(rng.standard_normal((len(way), 1024)).astype(np.float32))
-    with pytest.raises(ValueError, match="too far apart"):
+    with pytest.raises(ValueError, match="images are 1 m apart, but nothing stays alike"):
         length_of(way, views)
 
 
@@ -227,20 +227,44 @@ def test_drive_is_refused_when_the_robot_never_moves(odometry: bool) -> None:
     assert "\n" not in str(refused.value)
 
 
-def test_drive_is_refused_when_the_robot_stands_in_one_of_two() -> None:
+def test_drive_is_left_out_when_the_robot_stands_in_it() -> None:
     one = drive(way=((1.5, 0.0),))
     still = [ROOM.look(START)] * 5
     views = [ROOM.look(pose) for pose in one.poses]
     poses = [one.poses, np.tile(START, (5, 1))]
-    with pytest.raises(ValueError, match="the robot hardly moves in it"):
-        learn([views, still], poses, [one.atoms, np.zeros(5, dtype=np.int8)])
+    with pytest.warns(UserWarning, match="drive-1 does not teach: the robot hardly moves"):
+        found = learn([views, still], poses, [one.atoms, np.zeros(5, dtype=np.int8)])
+    assert found.frames.tolist() == [len(views)]
+    assert found.names == (("drive-0",),)
 
 
 def test_drive_is_refused_when_its_images_are_all_alike() -> None:
     one = drive(way=((1.0, 0.0),))
     blank = [np.full((72, 96, 3), 40, dtype=np.uint8)] * len(one.poses)
-    with pytest.raises(ValueError, match="all images of the demonstrations look the same"):
+    with pytest.raises(ValueError, match="all images of drive-0 look the same"):
         learn([blank], [one.poses], [one.atoms])
+
+
+@pytest.mark.parametrize("odometry", [True, False])
+def test_drive_is_named_when_its_frames_are_too_far_apart(odometry: bool) -> None:
+    rng = np.random.default_rng(0)
+    noise = [rng.integers(0, 255, (72, 96, 3), dtype=np.uint8) for _ in range(30)]
+    way = np.column_stack([1.5 * np.arange(30), np.zeros((30, 2))])
+    unit = "1.5 m" if odometry else "1 forward actions"
+    with pytest.raises(
+        ValueError,
+        match=f"drive-0: successive images are {unit} apart, but nothing stays alike over .*; drive "
+        "more slowly or record more images a second",
+    ):
+        learn([noise], [way if odometry else None], [np.ones(30, dtype=np.int8)])
+
+
+def test_drive_is_named_when_no_two_views_have_one_heading() -> None:
+    ahead = np.arange(0.0, 3.0, 0.02)
+    turned = np.column_stack([START[0] + ahead, np.full_like(ahead, START[1]), 60.0 * ahead])
+    views = [ROOM.look(pose) for pose in turned]
+    with pytest.raises(ValueError, match=r"turns all the time in drive-0: .* drive a straight"):
+        learn([views], [turned], [np.ones(len(ahead), dtype=np.int8)])
 
 
 def test_map_is_the_same_when_it_is_made_from_its_content() -> None:
@@ -260,7 +284,6 @@ def test_map_is_the_same_when_it_is_made_from_its_content() -> None:
         ("basis", lambda basis: basis[:, :0], "components"),
         ("keyframes", lambda keys: np.append(keys[:-1], -1), "keyframes"),
         ("keyframes", lambda keys: np.append(keys[:-1], np.int32(2**31 - 1)), "keyframes"),
-        ("scene", lambda _: [1.0, 1.0, 1.0], "scene"),
         ("movements", lambda movements: 1e300 * movements, "movements"),
         ("basis", lambda basis: np.zeros((0, 10**6), basis.dtype), "components"),
         ("gamma", lambda _: -1.0, "gamma"),

@@ -1,13 +1,17 @@
-"""Odometry of the base, and its pose relative to an episode's start."""
+"""Odometry of a real base, and its pose relative to an episode's start."""
 
 import math
-from typing import NamedTuple
+from collections import deque
+from threading import Lock
+from typing import Final, NamedTuple
 
 from services.robot.body import OdometryReading
 
 # Poses that differ by this much more than the base can move belong to odometry that was reset.
 _LEAP_M = 0.3
 _LEAP_RAD = 0.3
+# Number of readings that are searched for the moment of a frame.
+_KEPT: Final = 100
 #: As in `schemas.motion`; far beyond any base.
 _MOST_M = 1e6
 _MOST_RAD_S = 100.0
@@ -27,7 +31,7 @@ class Wheels(NamedTuple):
 
 
 class WheelTrack:
-    """Accumulates odometry poses without the leap when a base resets its odometry.
+    """Accumulates odometry poses without the leap when a base resets its odometry; thread-safe.
 
     At most twice the base's speeds are plausible. After `silence_s` the odometry can have been
     reset: it has if it is nearer to zero than to its previous pose.
@@ -39,10 +43,38 @@ class WheelTrack:
         self._turn_rate_rad_s = turn_rate_rad_s
         self._raw: tuple[float, float, float] | None = None
         self._now = Wheels(0.0)
+        self._recent: deque[Wheels] = deque(maxlen=_KEPT)
+        self._lock = Lock()
+        self._since: Wheels | None = None
+        self._last: Wheels | None = None
         self.leaps = 0
+
+    def begin(self, at_s: float) -> None:
+        """Begin an episode with the frame of a moment."""
+        self._since = self._last = self.at(at_s)
+
+    def reading(self, at_s: float) -> OdometryReading | None:
+        """Return the odometry of a frame since the episode's start; None without odometry."""
+        now = self.at(at_s)
+        if now is None or self._since is None or self._last is None:
+            return None
+        last = self._last
+        self._last = now
+        return reading(now, self._since, last)
+
+    def at(self, at_s: float) -> Wheels | None:
+        """Return the odometry nearest to a moment."""
+        with self._lock:
+            return min(self._recent, key=lambda one: abs(one.read_s - at_s), default=None)
 
     def add(self, read_s: float, x_m: float, y_m: float, heading_rad: float) -> Wheels:
         """Add the next pose."""
+        now = self._moved(read_s, x_m, y_m, heading_rad)
+        with self._lock:
+            self._recent.append(now)
+        return now
+
+    def _moved(self, read_s: float, x_m: float, y_m: float, heading_rad: float) -> Wheels:
         now = self._now
         raw = self._raw
         self._raw = x_m, y_m, heading_rad

@@ -1,0 +1,142 @@
+"""Demonstrations from arrays of images, actions and poses, checked before anything is computed."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from smal.arrays import Floats, Int8s
+from smal.camera import Camera, Image
+from smal.features.extraction import check_image
+from smal.features.resizing import same_aspect
+from smal.features.settings import FeatureSettings
+from smal.movement import Atom
+from smal.teaching.demonstration import USUAL_GOAL, Demonstration, described
+
+#: Mean cosine between headings and directions of motion by which degrees fit better than radians.
+_CLEARLY: Final = 0.2
+
+
+def demonstrations_of(
+    drives: Sequence[tuple[Any, ...]],
+    features: FeatureSettings,
+    goals: Sequence[str] | None = None,
+    camera: Camera | None = None,
+) -> list[Demonstration]:
+    """Return drives as demonstrations whose features are computed on access; see `fit`.
+
+    Raises
+    ------
+    ValueError
+        If images, actions, poses or goals are invalid. The error names the drive and the frame.
+    """
+    goals = [USUAL_GOAL] * len(drives) if goals is None else goals
+    if len(goals) != len(drives):
+        raise ValueError(f"{len(goals)} goals for {len(drives)} drives; give one goal for each")
+    if camera is not None and not isinstance(camera, Camera):
+        raise TypeError(
+            f"the camera must be a smal.camera.Camera, got {camera!r:.40}; "
+            "Camera.of_field(70) has a field of view of 70 degrees"
+        )
+    pairs = zip(drives, goals, strict=True)
+    return [
+        _demonstration(f"drive-{number}", drive, features, goal, camera)
+        for number, (drive, goal) in enumerate(pairs)
+    ]
+
+
+def _demonstration(
+    name: str,
+    drive: Any,  # noqa: ANN401 - given by a user
+    features: FeatureSettings,
+    goal: str,
+    camera: Camera | None,
+) -> Demonstration:
+    if not isinstance(drive, tuple | list) or len(drive) not in (2, 3):
+        raise ValueError(
+            f"{name} must be (images, atoms) or (images, atoms, odometry), got "
+            f"{type(drive).__name__}; a single drive is a list of one: [(images, atoms)]"
+        )
+    images, atoms, *poses = drive
+    _check_images(name, images)
+    executed = _atoms(name, atoms, len(images))
+    return Demonstration(
+        name,
+        described(images, features, name),
+        executed,
+        images=images,
+        odometry=_odometry(name, poses[0], executed) if poses and poses[0] is not None else None,
+        goal=goal,
+        camera=camera,
+    )
+
+
+def _check_images(name: str, images: Sequence[Image]) -> None:
+    """Check images in memory; of a lazy sequence, only the first image, because each takes time."""
+    if not len(images):
+        raise ValueError(f"{name} has no images")
+    in_memory = isinstance(images, np.ndarray | list | tuple)
+    first = images[0]
+    for frame, image in enumerate(images if in_memory else [first]):
+        try:
+            check_image(image)
+        except ValueError as error:
+            raise ValueError(f"{name}, frame {frame}: {error}") from None
+        if not same_aspect(image.shape, first.shape):
+            raise ValueError(
+                f"{name}, frame {frame}: an image of {image.shape[1]}x{image.shape[0]} shows "
+                f"another view than the first, of {first.shape[1]}x{first.shape[0]}; use images of "
+                "one camera and one size"
+            )
+
+
+def _atoms(name: str, atoms: Any, frames: int) -> Int8s:  # noqa: ANN401 - given by a user
+    if len(atoms) != frames:
+        raise ValueError(
+            f"{name}: {frames} images, but {len(atoms)} actions; give the action after each image, "
+            "smal.Atom.STOP after the last"
+        )
+    for frame, atom in enumerate(atoms):
+        if atom not in list(Atom):
+            raise ValueError(
+                f"{name}, frame {frame}: the action {atom!r:.40} is invalid; use smal.Atom, "
+                f"{', '.join(f'{one.name} = {one.value}' for one in Atom)}"
+            )
+    return np.asarray(atoms, dtype=np.int8)
+
+
+def _odometry(name: str, poses: Any, atoms: Int8s) -> Floats:  # noqa: ANN401 - given by a user
+    if len(poses) != atoms.size:
+        raise ValueError(
+            f"{name}: {atoms.size} images, but {len(poses)} poses; give the pose of each image"
+        )
+    for frame, pose in enumerate(poses):
+        if np.size(pose) != 3 or not all(map(math.isfinite, pose)):
+            raise ValueError(
+                f"{name}, frame {frame}: the pose must be three finite numbers, x, y and heading "
+                f"in radians, got {np.asarray(pose).tolist()!r:.60}; leave out frames without a pose"
+            )
+    odometry = np.asarray(poses, dtype=np.float64)
+    if _in_degrees(odometry, atoms):
+        least, most = odometry[:, 2].min(), odometry[:, 2].max()
+        raise ValueError(
+            f"{name}: the headings, {least:.3g} to {most:.3g}, fit the motion in degrees; convert "
+            "them with numpy.radians"
+        )
+    return odometry
+
+
+def _in_degrees(poses: Floats, atoms: Int8s) -> bool:
+    """Return whether headings beyond a whole turn fit the motion as degrees, and not as radians."""
+    headings = poses[:-1, 2]
+    if np.abs(headings).max(initial=0.0) <= math.tau:
+        return False
+    x, y = np.diff(poses[:, :2], axis=0).T
+    ahead = (atoms[:-1] == Atom.FORWARD) & ((x != 0.0) | (y != 0.0))
+    moved = np.arctan2(y[ahead], x[ahead])
+    if not moved.size:
+        return False
+    radians = float(np.cos(moved - headings[ahead]).mean())
+    degrees = float(np.cos(moved - np.radians(headings[ahead])).mean())
+    return degrees - radians > _CLEARLY
