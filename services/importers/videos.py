@@ -1,7 +1,7 @@
 """Frames of videos as JPEG, upright, by their times."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
 from typing import IO, Any, Final
@@ -18,7 +18,7 @@ from services.importers.drive import (
     NotAnImage,
     Tally,
 )
-from services.importers.images import raw_as_jpeg
+from services.importers.images import Row, raw_as_jpeg
 from services.importers.inside import Inside
 from services.kit.jpeg import MOST_PIXELS
 
@@ -66,7 +66,6 @@ class Film:
     def __init__(self, inside: Inside, name: str, times_s: Array, tally: Tally) -> None:
         self._inside = inside
         self._name = name
-        self._tally = tally
         with inside.open(name) as file:
             self._shown_s = frame_times(file, inside.called(name))
         if self._shown_s.size < 2:
@@ -77,17 +76,19 @@ class Film:
         elif times_s[0] > self._clock_s[-1]:
             tally.say(f"the video {printable(name)} begins at the first row")
             self._clock_s = self._clock_s + times_s[0]
+        within = (self._clock_s >= times_s.min()) & (self._clock_s <= times_s.max())
+        tally.count("frames of the video have no row (left out)", int((~within).sum()))
 
-    def part(self, from_s: float, to_s: float) -> tuple[Array, Images]:
-        """Return the times and the images of the frames between two times."""
-        rows = np.flatnonzero((self._clock_s >= from_s) & (self._clock_s <= to_s))
-        self._tally.count("frames of the video have no row", self._clock_s.size - rows.size)
-        if not rows.size:
+    def part(self, rows: Sequence[Row]) -> tuple[Array, Images]:
+        """Return the times and the images of the frames from the first to the last row."""
+        within = (self._clock_s >= rows[0].time_s) & (self._clock_s <= rows[-1].time_s)
+        frames = np.flatnonzero(within)
+        if not frames.size:
             raise ImportFailure(
                 f"{self._inside.called(self._name)}: no frame within the times of the table; "
                 "time_s counts from the first frame"
             )
-        return self._clock_s[rows], partial(self._images, self._shown_s[rows])
+        return self._clock_s[frames], partial(self._images, self._shown_s[frames])
 
     def _images(self, times_s: Array) -> Iterator[Image]:
         tolerance_s = float(np.median(np.diff(self._shown_s))) / 2.0
