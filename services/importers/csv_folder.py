@@ -66,7 +66,7 @@ def found(inside: Inside) -> bool:
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     """Read a folder; each episode is a drive."""
     names = _tables(inside)
-    if NAME not in names and layouts.found(inside):
+    if not names and layouts.found(inside):
         return layouts.read(inside, job, tally)
     if NAME not in names and len(names) != 1:
         raise ImportFailure(
