@@ -130,8 +130,8 @@ def import_recordings(
     Recordings have 10 frames per second at any source rate. Velocities become the actions forward,
     backward, left, right and stop; --still and --turning set the limits as fractions of the robot's
     nominal speed and turn rate. Omitted data are reported with their count. Upright JPEG images are
-    copied unchanged; other formats and EXIF orientations are converted and counted. Files outside
-    PATH are never read.
+    copied unchanged; other formats and EXIF orientations are converted and counted. Images larger
+    than 4096x3072 pixels are shrunk. Files outside PATH are never read.
 
     Example: smal import donkeycar tub --rate 20 --to 25 --out drives
     """
