@@ -136,7 +136,8 @@ def import_recordings(
     nominal speed and turn rate. Odometry is compared with velocities and views: resets are joined,
     and a drive is cut where its view jumps too. Omitted data are reported with their count, and
     repairs with their place. Upright JPEG images are copied unchanged; other formats and EXIF
-    orientations are converted and counted. Files outside PATH are never read.
+    orientations are converted and counted. Images larger than 4096x3072 pixels are shrunk. Files
+    outside PATH are never read.
 
     Example: smal import donkeycar tub --rate 20 --to 25 --out drives
     """

@@ -66,44 +66,42 @@ def found(inside: Inside) -> bool:
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     """Read a folder; each episode is a drive."""
     names = _tables(inside)
-    if NAME not in names and layouts.found(inside):
+    if not names and layouts.found(inside):
         return layouts.read(inside, job, tally)
     if NAME not in names and len(names) != 1:
         raise ImportFailure(
             f"{inside.path}: {NAME} not found, and {len(names)} CSV files to choose from"
         )
-    name = NAME if NAME in names else names[0]
+    return _drives(inside, NAME if NAME in names else names[0], job, tally)
+
+
+def _drives(inside: Inside, name: str, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     films = [each for each in inside.names() if each.lower().endswith(SUFFIXES)]
-    lines = list(_lines(inside, name, job.rate_hz, films, tally))
-    if not lines:
+    episodes: dict[str, list[Row]] = {}
+    arrived: dict[str, bool] = {}
+    for line in _lines(inside, name, job.rate_hz, films, tally):
+        episodes.setdefault(line.episode, []).append(line.row(job))
+        if line.success is not None:
+            arrived[line.episode] = line.success
+    every = [row for rows in episodes.values() for row in rows]
+    if not every:
         raise ImportFailure(f"{inside.called(name)}: no row has an image, a time and velocities")
-    times_s = np.array([line.time_s for line in lines])
-    film = None if lines[0].image else Film(inside, films[0], times_s, tally)
-    episodes: dict[str, list[_Line]] = {}
-    for line in lines:
-        episodes.setdefault(line.episode, []).append(line)
-    return [_drive(inside, each, own, film, job, tally) for each, own in episodes.items()]
+    if every[0].image:
+        return [
+            drive_of(inside, each, rows, tally, success=arrived.get(each))
+            for each, rows in episodes.items()
+        ]
+    film = Film(inside, films[0], np.array([row.time_s for row in every]), tally)
+    return [
+        ImportedDrive.of_rows(
+            each, *film.part(rows), *moved(rows), tally, success=arrived.get(each)
+        )
+        for each, rows in episodes.items()
+    ]
 
 
 def _tables(inside: Inside) -> list[str]:
     return [name for name in inside.names() if name.lower().endswith(".csv")]
-
-
-def _drive(
-    inside: Inside,
-    name: str,
-    lines: Sequence[_Line],
-    film: Film | None,
-    job: ImportJob,
-    tally: Tally,
-) -> ImportedDrive:
-    rows = [line.row(job) for line in lines]
-    arrived = [line.success for line in lines if line.success is not None]
-    success = arrived[-1] if arrived else None
-    if film is None:
-        return drive_of(inside, name, rows, tally, success=success)
-    shown = film.part(lines[0].time_s, lines[-1].time_s)
-    return ImportedDrive.of_rows(name, *shown, *moved(rows), tally, success=success)
 
 
 def _lines(

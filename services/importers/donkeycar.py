@@ -56,16 +56,9 @@ _USUAL: Final = _Meta(
 )
 
 
-class _Strings(RootModel[list[str]]):
-    """A line of a manifest."""
-
-
-class _Indexes(RootModel[set[int]]):
-    """The records that their owner excluded from a tub of version 1."""
-
-
-class _Line(RootModel[_Values]):
-    """A record as stored: values by field."""
+_Strings = RootModel[list[str]]
+_Indexes = RootModel[set[int]]
+_Line = RootModel[_Values]
 
 
 class _Record(BaseModel):

@@ -18,7 +18,7 @@ from services.importers.drive import (
     Tally,
 )
 from services.importers.inside import Inside
-from services.kit.jpeg import encode_jpeg, is_jpeg
+from services.kit.jpeg import encode_jpeg, shrunk
 from services.kit.pixels import ENCODINGS, FORMATS, decode_file, is_upright, rgb_of
 
 MOST_BYTES: Final = CompressedImage.max_bytes - 2**16  # Maximum size of an image file, bytes.
@@ -37,12 +37,11 @@ def as_jpeg(data: bytes, tally: Tally) -> bytes:
     if len(data) > MOST_BYTES:
         raise NotAnImage("images are larger than 16 MiB")
     form = next((name for start, name in FORMATS.items() if data.startswith(start)), "other")
-    pixels = decode_file(data) if form != "JPEG" or is_jpeg(data) else None
+    pixels = decode_file(data)
     if pixels is None:
         raise NotAnImage("images are damaged, or have a format that OpenCV cannot decode")
     if form == "JPEG" and is_upright(data):
-        _check_size(pixels)
-        return data
+        return data if _recorded_width(pixels) == pixels.shape[1] else raw_as_jpeg(pixels)
     upright = "images are turned upright by their EXIF orientation"
     tally.count(upright if form == "JPEG" else _CONVERTED.format(form))
     return raw_as_jpeg(pixels)
@@ -67,15 +66,18 @@ def ros_as_jpeg(image: Any, tally: Tally) -> bytes:  # noqa: ANN401 - its class 
 
 
 def raw_as_jpeg(pixels: NDArray[np.uint8]) -> bytes:
-    """Compress RGB pixels (height, width, 3); raises `NotAnImage` for an implausible size."""
-    _check_size(pixels)
-    return encode_jpeg(pixels)
+    """Compress RGB pixels (height, width, 3), shrunk to the largest recorded size."""
+    width = _recorded_width(pixels)
+    return encode_jpeg(pixels if width == pixels.shape[1] else shrunk(pixels, width))
 
 
-def _check_size(pixels: NDArray[np.uint8]) -> None:
+def _recorded_width(pixels: NDArray[np.uint8]) -> int:
+    """Return the width of a recorded image; raises `NotAnImage` if it is too small."""
     height, width = pixels.shape[:2]
-    if not (_LEAST[0] <= width <= _MOST[0] and _LEAST[1] <= height <= _MOST[1]):
-        raise NotAnImage("images are not within 32x24 and 4096x3072 pixels")
+    recorded = int(min(width, _MOST[0], _MOST[1] * width // height))
+    if recorded < _LEAST[0] or height * recorded < _LEAST[1] * width:
+        raise NotAnImage("images are smaller than 32x24 pixels")
+    return recorded
 
 
 class Row(NamedTuple):

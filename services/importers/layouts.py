@@ -1,12 +1,14 @@
 """Drives in the layouts of TUM, KITTI and EuRoC: images with times, and poses.
 
-Poses give the velocities. TUM has ``rgb.txt`` and poses in a text file of eight numbers a line;
-KITTI ``times.txt``, folders of images and ``poses.txt``, or ``sequences`` and ``poses``, or, as
-raw data, ``oxts``; EuRoC ``mav0`` with a ``data.csv`` in the folder of each sensor.
+Poses give the velocities. TUM has ``rgb.txt``, or a folder ``rgb`` of images whose names are times,
+and poses in a text file of eight numbers a line. KITTI has ``times.txt``, folders of images and
+poses in a text file of twelve numbers a line, or ``sequences`` and ``poses``, or, as raw data,
+``oxts``. EuRoC has, in ``mav0`` or not, a folder with a ``data.csv`` for each sensor.
 """
 
 from collections.abc import Iterator, Sequence
 from datetime import datetime
+from pathlib import PurePath
 from typing import Final
 
 import numpy as np
@@ -19,44 +21,67 @@ from services.importers.inside import Inside
 from services.importers.job import ImportJob
 from services.importers.trajectory import track_of
 
-_RGB: Final = "rgb.txt"
+_RGB: Final = "rgb"
+_LIST: Final = "rgb.txt"
 _TIMES: Final = "times.txt"
 _SEQUENCES: Final = "sequences"
 _MAV: Final = "mav0"
+_CAM: Final = "cam0"
+_DATA: Final = "data.csv"
+_MOST_NUMBERS: Final = 30  # Poses, velocities and the state of the inertial unit.
 _OXTS: Final = "oxts"  # Satellite positions and orientations of KITTI, a file for each image.
 _EARTH_M: Final = 6_378_137.0
 
 
 def found(inside: Inside) -> bool:
     """Return whether a folder has one of these layouts."""
-    return any(name in inside.names() for name in (_RGB, _TIMES, _SEQUENCES, _MAV, _OXTS))
+    marks = (_LIST, _RGB, _TIMES, _SEQUENCES, _MAV, _CAM, _OXTS)
+    return not set(marks).isdisjoint(inside.names())
 
 
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     """Read the drives of a folder."""
     names = inside.names()
-    if _RGB in names:
+    if _LIST in names or _RGB in names:
         return [_tum(inside, tally)]
-    if _MAV in names:
-        return [_euroc(inside, job, tally)]
+    if _MAV in names or _CAM in names:
+        return [_euroc(inside, f"{_MAV}/" if _MAV in names else "", job, tally)]
     if _OXTS in names:
         return [_kitti_raw(inside, job, tally)]
     if _TIMES in names:
-        return [_kitti(inside, "", "poses.txt", job, tally)]
+        return [_kitti(inside, "", _only(inside, _texts(inside), 12), job, tally)]
     return list(_sequences(inside, job, tally))
 
 
 def _tum(inside: Inside, tally: Tally) -> ImportedDrive:
-    images = [line.split(maxsplit=1)[-1].strip() for line in _lines(inside, _RGB)]
-    texts = [name for name in inside.names() if name.endswith(".txt") and name != _RGB]
-    # The file of poses has any name; depth.txt and accelerometer.txt have fewer numbers.
-    poses = [name for name in texts if _width(inside, name) == 8]
-    if len(poses) != 1:
+    # Other files, such as depth.txt and accelerometer.txt, have fewer numbers.
+    poses = _table(inside, _only(inside, _texts(inside), 8), 8)
+    if _LIST in inside.names():
+        images = [line.split(maxsplit=1)[-1].strip() for line in _lines(inside, _LIST)]
+        return _drive(inside, "", _times(inside, _LIST), images, poses, tally)
+    names = [name for name in inside.names(_RGB) if _number(PurePath(name).stem) is not None]
+    times_s = np.array([float(PurePath(name).stem) for name in names])
+    order = np.argsort(times_s)
+    images = [f"{_RGB}/{names[row]}" for row in order]
+    return _drive(inside, "", times_s[order], images, poses, tally)
+
+
+def _texts(inside: Inside) -> list[str]:
+    return [name for name in inside.names() if name.lower().endswith(".txt")]
+
+
+def _only(
+    inside: Inside, names: Sequence[str], least: int, most: int = 0, delimiter: str | None = None
+) -> str:
+    """Return the only file of poses: its lines have so many numbers."""
+    widths = range(least, max(least, most) + 1)
+    found = [name for name in names if _width(inside, name, delimiter) in widths]
+    if len(found) != 1:
         raise ImportFailure(
-            f"{inside.path}: {len(poses)} files of poses (lines of time x y z qx qy qz qw) beside "
-            f"{_RGB}; one is needed"
+            f"{inside.path}: {len(found)} files of poses with {least} numbers a line among "
+            f"{printable(', '.join(names))[:200] or 'no files'}; exactly one is needed"
         )
-    return _drive(inside, "", _times(inside, _RGB), images, _table(inside, poses[0], 8), tally)
+    return found[0]
 
 
 def _sequences(inside: Inside, job: ImportJob, tally: Tally) -> Iterator[ImportedDrive]:
@@ -112,22 +137,18 @@ def _dates(inside: Inside, name: str, count: int) -> Array:
     return np.array(dates)
 
 
-def _euroc(inside: Inside, job: ImportJob, tally: Tally) -> ImportedDrive:
-    camera = _camera(inside, f"{_MAV}/", "cam", job)
-    listed = f"{_MAV}/{camera}/data.csv"
+def _euroc(inside: Inside, folder: str, job: ImportJob, tally: Tally) -> ImportedDrive:
+    sensors = [f"{folder}{name}" for name in inside.folders(folder)]
+    camera = f"{folder}{_camera(inside, folder, 'cam', job)}"
+    listed = f"{camera}/{_DATA}"
     names = [line.rpartition(",")[2].strip() for line in _lines(inside, listed)]
-    images = [f"{_MAV}/{camera}/data/{name}" for name in names]
-    times_s = _times(inside, listed, ",") / 1e9
-    truths = [name for name in inside.names(_MAV) if "groundtruth" in name or "odom" in name]
-    if len(truths) != 1:
-        named = ", ".join(inside.names(_MAV))
-        raise ImportFailure(
-            f"{inside.path}: {len(truths)} sensors of poses (state_groundtruth…) in {_MAV} "
-            f"({printable(named)[:200]}); one is needed"
-        )
-    table = _table(inside, f"{_MAV}/{truths[0]}/data.csv", 8, ",")
+    images = [f"{camera}/data/{name}" for name in names]
+    tables = [f"{each}/{_DATA}" for each in sensors if _DATA in inside.names(each)]
+    # An inertial unit has seven numbers a line.
+    usual = [name for name in tables if "groundtruth" in name] or tables
+    table = _table(inside, _only(inside, usual, 8, _MOST_NUMBERS, ","), 8, ",")
     placed = np.column_stack([table[:, 0] / 1e9, table[:, [1, 2, 3, 5, 6, 7, 4]]])
-    return _drive(inside, "", times_s, images, placed, tally)
+    return _drive(inside, "", _times(inside, listed, ",") / 1e9, images, placed, tally)
 
 
 def _camera(inside: Inside, folder: str, start: str, job: ImportJob) -> str:
@@ -164,9 +185,17 @@ def _lines(inside: Inside, name: str) -> Iterator[str]:
     return (text for text in texts if text and not text.startswith("#"))
 
 
-def _width(inside: Inside, name: str) -> int:
-    """Return the number of values in a line of a text file."""
-    return len(next(_lines(inside, name), "").split())
+def _width(inside: Inside, name: str, delimiter: str | None = None) -> int:
+    """Return the number of numbers in a line of a text file; 0 if it has other text."""
+    values = [_number(value) for value in next(_lines(inside, name), "").split(delimiter)]
+    return 0 if None in values else len(values)
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
 
 
 def _times(inside: Inside, name: str, delimiter: str | None = None) -> Array:

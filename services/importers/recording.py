@@ -16,10 +16,11 @@ from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.motion import Odometry
 from services.importers.drive import Array, ImportedDrive, ImportFailure, NotAnImage, Tally
+from services.importers.images import raw_as_jpeg
 from services.importers.job import ImportJob
 from services.importers.ticks import Moves, Nominal, Ticks, odometry, shares_of, ticks
 from services.kit.cameras import camera_info, turned
-from services.kit.jpeg import decode_jpeg, encode_jpeg, jpeg_size
+from services.kit.jpeg import decode_jpeg, jpeg_size
 from services.recordings.writer import EpisodeWriter
 from smal.camera import Camera
 from smal.movement import wrapped
@@ -151,7 +152,7 @@ def _images(
         try:
             jpeg = image()
             if rotate_deg:
-                jpeg = encode_jpeg(np.rot90(decode_jpeg(jpeg), -rotate_deg // 90))
+                jpeg = raw_as_jpeg(np.rot90(decode_jpeg(jpeg), -rotate_deg // 90))
         except NotAnImage as error:
             tally.count(str(error))
             continue

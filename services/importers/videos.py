@@ -1,12 +1,13 @@
 """Frames of videos as JPEG, upright, by their times."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
 from typing import IO, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from schemas.codec import printable
 from services.importers.drive import (
@@ -18,14 +19,16 @@ from services.importers.drive import (
     NotAnImage,
     Tally,
 )
-from services.importers.images import raw_as_jpeg
+from services.importers.images import Row, raw_as_jpeg
 from services.importers.inside import Inside
+from services.importers.ticks import HOLD_S
 from services.kit.jpeg import MOST_PIXELS
 
 #: Containers by their first bytes and where these stand. Others can name further files to open.
 _CONTAINERS: Final = (
     (4, b"ftyp", "mp4"), (4, b"moov", "mp4"), (0, b"\x1aE\xdf\xa3", "matroska"), (0, b"RIFF", "avi"),
 )  # fmt: skip
+_ROUNDING_S: Final = 1e-3  # Tables of milliseconds.
 SUFFIXES: Final = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi")
 
 
@@ -66,7 +69,6 @@ class Film:
     def __init__(self, inside: Inside, name: str, times_s: Array, tally: Tally) -> None:
         self._inside = inside
         self._name = name
-        self._tally = tally
         with inside.open(name) as file:
             self._shown_s = frame_times(file, inside.called(name))
         if self._shown_s.size < 2:
@@ -77,17 +79,23 @@ class Film:
         elif times_s[0] > self._clock_s[-1]:
             tally.say(f"the video {printable(name)} begins at the first row")
             self._clock_s = self._clock_s + times_s[0]
+        left_out = self._clock_s.size - self._within(times_s.min(), times_s.max()).size
+        tally.count("frames of the video have no row (left out)", left_out)
 
-    def part(self, from_s: float, to_s: float) -> tuple[Array, Images]:
-        """Return the times and the images of the frames between two times."""
-        rows = np.flatnonzero((self._clock_s >= from_s) & (self._clock_s <= to_s))
-        self._tally.count("frames of the video have no row", self._clock_s.size - rows.size)
-        if not rows.size:
+    def part(self, rows: Sequence[Row]) -> tuple[Array, Images]:
+        """Return the times and the images of the frames from the first to the last row."""
+        frames = self._within(rows[0].time_s, rows[-1].time_s)
+        if not frames.size:
             raise ImportFailure(
                 f"{self._inside.called(self._name)}: no frame within the times of the table; "
                 "time_s counts from the first frame"
             )
-        return self._clock_s[rows], partial(self._images, self._shown_s[rows])
+        return self._clock_s[frames], partial(self._images, self._shown_s[frames])
+
+    def _within(self, first_s: float, last_s: float) -> NDArray[np.intp]:
+        """Return the frames between two rows; the last velocity holds for a while."""
+        begun = self._clock_s >= first_s - _ROUNDING_S
+        return np.flatnonzero(begun & (self._clock_s <= last_s + HOLD_S))
 
     def _images(self, times_s: Array) -> Iterator[Image]:
         tolerance_s = float(np.median(np.diff(self._shown_s))) / 2.0

@@ -67,6 +67,26 @@ def kitti(folder: Path, poses: str) -> Path:
     return folder
 
 
+def rgb_folder(folder: Path) -> Path:
+    """Write images whose names are their times, and poses of any name."""
+    tum(folder, ANYHOW)
+    (folder / "rgb.txt").unlink()
+    (folder / "groundtruth.txt").rename(folder / "trajectory.TXT")
+    (folder / "readme.txt").write_text("these are the eight words of a readme")
+    return folder
+
+
+def bare_euroc(folder: Path) -> Path:
+    """Write the sensors without the folder above them, poses of another name, and inertia."""
+    for sensor in (euroc(folder) / "mav0").iterdir():
+        named = "mocap0" if "truth" in sensor.name else sensor.name
+        sensor.rename(folder / named)
+    (folder / "mav0").rmdir()
+    (folder / "imu0").mkdir()
+    (folder / "imu0/data.csv").write_text("#timestamp [ns],w,w,w,a,a,a\n1,0,0,0,0,0,9.8\n")
+    return folder
+
+
 def kitti_sequences(folder: Path) -> Path:
     for number in ("00", "11"):
         kitti(folder / "sequences" / number, f"../../poses_{number}.txt")
@@ -116,7 +136,9 @@ def euroc(folder: Path) -> Path:
 LAYOUTS: dict[str, Callable[[Path], Path]] = {
     "tum": lambda path: tum(path, OPTICAL),
     "tum-markers": lambda path: tum(path, ANYHOW),
-    "kitti": lambda path: kitti(path, "poses.txt"),
+    "tum-names": rgb_folder,
+    "euroc-bare": bare_euroc,
+    "kitti": lambda path: kitti(path, "00.txt"),
     "kitti-sequences": kitti_sequences,
     "kitti-raw": kitti_raw,
     "euroc": euroc,
@@ -136,7 +158,9 @@ def test_layout_of_a_data_set_is_imported(layout: str, tmp_path: Path) -> None:
 def test_layout_is_refused_when_it_has_no_poses(tmp_path: Path) -> None:
     folder = tum(tmp_path / "set", OPTICAL)
     (folder / "groundtruth.txt").unlink()
-    with pytest.raises(ImportFailure, match="0 files of poses"):
+    with pytest.raises(
+        ImportFailure, match=r"0 files of poses with 8 numbers a line among accelerometer\.txt, rgb"
+    ):
         imported(folder, "folder", tmp_path / "out")
 
 

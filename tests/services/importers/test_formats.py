@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from services.importers import images
 from services.importers.drive import ImportFailure, Tally
 from services.importers.job import ImportJob, ImportReport
 from services.importers.run import run
@@ -127,6 +128,17 @@ def test_image_stands_upright_when_it_is_rotated(rotate_deg: int, tmp_path: Path
         cv2.imwrite(str(file), lying)
     report, _ = imported(folder, "folder", tmp_path / "out", rotate_deg=rotate_deg)
     check_drive(episode_of(report))
+
+
+def test_large_image_is_shrunk_when_it_is_portrait(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(images, "_MOST", (64, 48))
+    folder = sources.csv_folder(tmp_path / "set", 10.0)
+    lying = episode_of(imported(folder, "folder", tmp_path / "lying")[0])
+    assert decode_image(bytes(lying.images[0])).shape == (48, 64, 3)
+    rotated = episode_of(imported(folder, "folder", tmp_path / "out", rotate_deg=90)[0])
+    assert decode_image(bytes(rotated.images[0])).shape == (48, 36, 3)
 
 
 def test_calibration_is_rotated_with_its_images(tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ FILES: list[tuple[str, Callable[[Path], Path], str]] = [
     ("folder", LAYOUTS["tum"], "rgb.txt"),
     ("folder", LAYOUTS["tum"], "groundtruth.txt"),
     ("folder", LAYOUTS["kitti"], "times.txt"),
-    ("folder", LAYOUTS["kitti"], "poses.txt"),
+    ("folder", LAYOUTS["kitti"], "00.txt"),
     ("folder", LAYOUTS["kitti-raw"], "oxts/timestamps.txt"),
     ("folder", LAYOUTS["kitti-raw"], "oxts/data/0000000003.txt"),
     ("folder", LAYOUTS["euroc"], "mav0/cam0/data.csv"),
