@@ -15,7 +15,7 @@ from schemas.codec import printable
 from services.cli import options, outputs
 from services.experiments.progress import Bars
 from services.experiments.words import remark
-from services.importers.job import FORMATS, ImportJob, ImportReport, check_format
+from services.importers.job import FORMATS, ROTATIONS_DEG, ImportJob, ImportReport, check_format
 from services.importers.run import MOST_MEMORY
 from services.importers.ticks import QUANTILE
 from services.kit.errors import JobError, UsageError
@@ -34,9 +34,16 @@ class Part:
         bool | None, Option("--succeeded/--failed", help="Whether the drives reached the goal.")
     ] = None
     camera: Annotated[
-        str | None, Option(help="Image topic of a bag, or image feature of LeRobot.")
+        str | None, Option(help="Image topic, image feature or field, or folder of images.")
     ] = None
+    rotate_deg: Annotated[
+        int,
+        Option("--rotate", metavar="DEG", help="Clockwise turn of all images: 90, 180 or 270."),
+    ] = 0
     velocity: Annotated[str | None, Option(help="Source of the velocities; see above.")] = None
+    odometry: Annotated[
+        str | None, Option(help="Topic of the poses of a bag. [default: by content]")
+    ] = None
     episodes: Annotated[
         list[str] | None,
         Option("--episode", help="Name of a drive to import, as in the source; repeatable."),
@@ -111,21 +118,26 @@ def import_recordings(
 ) -> None:
     """Convert recordings of other software for `smal learn`.
 
-    rosbag2: a ROS 2 bag (MCAP or SQLite) with images and Twist, TwistStamped or Odometry. A bag is
-    one drive; import several bags into one OUT one by one. lerobot: a LeRobotDataset (v2.0, v2.1,
-    v3.0) of a mobile base. donkeycar: a tub of version 2. folder: images and a drive.csv with the
-    columns image, time_s, linear_m_s, angular_rad_s (optional: episode, success, x_m, y_m,
-    heading_rad).
+    rosbag2, rosbag1: a bag of ROS 2 (MCAP or SQLite) or ROS 1 with images and Twist, TwistStamped,
+    Odometry or poses. Topics that fit the images are chosen and reported. A bag is one drive;
+    import several bags into one OUT one by one. lerobot: a LeRobotDataset (v2.0, v2.1, v3.0) of a
+    mobile base. donkeycar: a tub of version 1 or 2, or a folder of tubs. folder: images,
+    or one video, and a drive.csv with the columns image (without a video), time_s, linear_m_s,
+    angular_rad_s (optional: episode, success, x_m, y_m, heading_rad; these poses can replace the
+    velocities); or a data set in the layout of TUM, KITTI or EuRoC with poses.
 
     Drives count as successful unless the source or --failed says otherwise. --velocity is the topic
-    of a bag, or LINEAR,ANGULAR of a LeRobot action. A speed of 1 means 1 m/s (donkeycar: unknown).
-    A turn rate of 1 means 1 rad/s (x.vel and theta.vel: 1 degree/s). --rate replaces wrong times of
-    a source.
+    of a bag, LINEAR,ANGULAR of LeRobot (names or numbers), or STEERING,THROTTLE of a tub. A speed
+    of 1 means 1 m/s (donkeycar: unknown). A turn rate of 1 means 1 rad/s (theta.vel: 1 degree/s).
+    --rate replaces wrong times of a source.
 
     Recordings have 10 frames per second at any source rate. Velocities become the actions forward,
     backward, left, right and stop; --still and --turning set the limits as fractions of the robot's
-    nominal speed and turn rate. Omitted data are reported with their count. JPEG images are copied
-    unchanged. Files outside PATH are never read.
+    nominal speed and turn rate. Odometry is compared with velocities and views: resets are joined,
+    and a drive is cut where its view jumps too. Omitted data are reported with their count, and
+    repairs with their place. Upright JPEG images are copied unchanged; other formats and EXIF
+    orientations are converted and counted. Images larger than 4096x3072 pixels are shrunk. Files
+    outside PATH are never read.
 
     Example: smal import donkeycar tub --rate 20 --to 25 --out drives
     """
@@ -133,6 +145,8 @@ def import_recordings(
     outputs.check_file(json_file, "--json")
     if part.to_s <= part.from_s:
         raise UsageError(f"--to {part.to_s:g}: not after --from {part.from_s:g}")
+    if part.rotate_deg not in ROTATIONS_DEG:
+        raise UsageError(f"--rotate {part.rotate_deg}: unsupported; choose 90, 180 or 270")
     with outputs.workshop(out, "--out") as folder:
         asked = asdict(part) | asdict(scale) | {"episodes": tuple(part.episodes or ())}
         asked["reckon"] = not asked.pop("no_odometry")

@@ -265,8 +265,9 @@ def match(
 
     Input: a traverse is a folder of images in natural order (img2 before img10), a video, or a
     recording of SMAL (.mcap); its frames count from 0. All image formats, sizes and bit depths of
-    OpenCV are supported. Unreadable images are skipped and keep their number. Features are cached
-    in $XDG_CACHE_HOME/smal (~/.cache/smal, maximum 90,000 images).
+    OpenCV are supported, and turned upright by their EXIF orientation. Unreadable images are
+    skipped and keep their number. Features are cached in $XDG_CACHE_HOME/smal (~/.cache/smal,
+    maximum 90,000 images).
 
     Scores: the score of smal is the probability that the match is correct within --tolerance
     frames. The default tolerance is the distance over which references look alike; with --truth,

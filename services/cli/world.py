@@ -51,7 +51,8 @@ _MOST_VIEWS: Final = 200
 @app.command("import")
 def import_world(
     osm_map: Annotated[
-        Path, Argument(metavar="MAP.osm", help="OpenStreetMap XML, as exported by its site.")
+        Path,
+        Argument(metavar="MAP.osm", help="OpenStreetMap extract: XML, .gz, .bz2 or .pbf."),
     ],
     out: Annotated[Path, Option(help="World file, ending in .json.")],
     start: Annotated[

@@ -15,7 +15,8 @@ from schemas.base import TICK_S
 from schemas.camera import CameraInfo
 from schemas.motion import Imu, Odometry
 from services.exporters.drives import ExportedDrive
-from services.importers import rosbag2 as names
+from services.importers import streams as names
+from services.importers.bags import typestore
 from services.importers.drive import Tally
 from services.kit.errors import JobError
 from services.kit.ros_message import ros_message
@@ -40,7 +41,7 @@ def write(
     """Write a bag for each drive, by its name."""
     from rosbags.rosbag2 import StoragePlugin, Writer  # noqa: PLC0415 - of the extra `formats`
 
-    store = names.typestore()
+    store = typestore()
     for drive in drives:
         writer = Writer(
             folder / drive.name, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP

@@ -1,97 +1,177 @@
-"""A folder of images with a CSV file of their times and the velocities of the robot.
+"""Folders of images, or of a video, with a table of the robot's velocities or poses.
 
-The file is ``drive.csv``, or the only ``*.csv`` of the folder. Its first line names the columns:
-``image`` (a file in the folder), ``time_s``, ``linear_m_s`` and ``angular_rad_s``
-(counter-clockwise). Optional columns are ``episode``, ``success`` (1 or 0), and ``x_m``, ``y_m``
-and ``heading_rad`` by odometry, with empty cells if unknown.
+The table is ``drive.csv``, or the only ``*.csv`` of the folder, as spreadsheets write it: with
+commas, semicolons or tabs, points or commas in numbers. Its first line names the columns: ``image``
+(a file in the folder), ``time_s``, ``linear_m_s`` and ``angular_rad_s`` (counter-clockwise).
+Optional columns are ``episode``, ``success`` (1 or 0), and ``x_m``, ``y_m`` and ``heading_rad`` by
+odometry, with empty cells if unknown. Without velocities, these poses give them.
+
+Without the column ``image`` the folder has one video. The times count from its first frame; if the
+first is later than its end, the video begins at the first row.
 """
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import Annotated, Final
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from schemas.codec import printable
+from services.importers import layouts
 from services.importers.drive import MOST_SAMPLES, ImportedDrive, ImportFailure, Tally
-from services.importers.images import Row, drive_of
+from services.importers.images import Row, drive_of, moved
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
+from services.importers.videos import SUFFIXES, Film
 
 NAME: Final = "drive.csv"
+VELOCITY: Final = ("linear_m_s", "angular_rad_s")
 POSE: Final = ("x_m", "y_m", "heading_rad")
-COLUMNS: Final = ("episode", "image", "time_s", "linear_m_s", "angular_rad_s", "success", *POSE)
+COLUMNS: Final = ("episode", "image", "time_s", *VELOCITY, "success", *POSE)
+_TEXTS: Final = ("episode", "image")
 
 
 class _Line(BaseModel):
-    """A line of the file; an empty cell is absent."""
+    """A line of the table; an empty cell is absent."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
     episode: str = ""
-    image: Annotated[str, Field(min_length=1)]
+    image: Annotated[str, Field(min_length=1)] | None = None
     time_s: FiniteFloat
-    linear_m_s: FiniteFloat
-    angular_rad_s: FiniteFloat
+    linear_m_s: FiniteFloat | None = None
+    angular_rad_s: FiniteFloat | None = None
     success: bool | None = None
     x_m: FiniteFloat | None = None
     y_m: FiniteFloat | None = None
     heading_rad: FiniteFloat | None = None
 
-    @property
-    def pose(self) -> tuple[float, float, float] | None:
-        """Pose by odometry."""
-        if self.x_m is None or self.y_m is None or self.heading_rad is None:
-            return None
-        return self.x_m, self.y_m, self.heading_rad
+    def row(self, job: ImportJob) -> Row:
+        """Return the frame of this line, its velocity in metres and radians per second."""
+        velocity = pose = None
+        if self.linear_m_s is not None and self.angular_rad_s is not None:
+            speed_m_s = self.linear_m_s * (job.speed or 1.0)
+            velocity = speed_m_s, self.angular_rad_s * (job.turn_rate or 1.0)
+        if self.x_m is not None and self.y_m is not None and self.heading_rad is not None:
+            pose = self.x_m, self.y_m, self.heading_rad
+        return Row(self.image or "", self.time_s, velocity, pose)
+
+
+def found(inside: Inside) -> bool:
+    """Return whether a folder has a table, or the layout of a data set."""
+    return bool(_tables(inside)) or layouts.found(inside)
 
 
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     """Read a folder; each episode is a drive."""
-    names = [name for name in inside.names() if name.lower().endswith(".csv")]
+    names = _tables(inside)
+    if not names and layouts.found(inside):
+        return layouts.read(inside, job, tally)
     if NAME not in names and len(names) != 1:
         raise ImportFailure(
             f"{inside.path}: {NAME} not found, and {len(names)} CSV files to choose from"
         )
-    name = NAME if NAME in names else names[0]
-    drives: dict[str, list[Row]] = {}
+    return _drives(inside, NAME if NAME in names else names[0], job, tally)
+
+
+def _drives(inside: Inside, name: str, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
+    films = [each for each in inside.names() if each.lower().endswith(SUFFIXES)]
+    episodes: dict[str, list[Row]] = {}
     arrived: dict[str, bool] = {}
-    for line in _lines(inside, name, job.rate_hz, tally):
-        velocity = line.linear_m_s * (job.speed or 1.0), line.angular_rad_s * (job.turn_rate or 1.0)
-        drives.setdefault(line.episode, []).append(
-            Row(line.image, line.time_s, velocity, line.pose)
-        )
+    for line in _lines(inside, name, job.rate_hz, films, tally):
+        episodes.setdefault(line.episode, []).append(line.row(job))
         if line.success is not None:
             arrived[line.episode] = line.success
-    if not drives:
+    every = [row for rows in episodes.values() for row in rows]
+    if not every:
         raise ImportFailure(f"{inside.called(name)}: no row has an image, a time and velocities")
+    if every[0].image:
+        return [
+            drive_of(inside, each, rows, tally, success=arrived.get(each))
+            for each, rows in episodes.items()
+        ]
+    film = Film(inside, films[0], np.array([row.time_s for row in every]), tally)
     return [
-        drive_of(inside, each, rows, tally, success=arrived.get(each))
-        for each, rows in drives.items()
+        ImportedDrive.of_rows(
+            each, *film.part(rows), *moved(rows), tally, success=arrived.get(each)
+        )
+        for each, rows in episodes.items()
     ]
 
 
-def _lines(inside: Inside, name: str, rate_hz: float | None, tally: Tally) -> Iterator[_Line]:
-    table = csv.DictReader(_text(inside, name))
+def _tables(inside: Inside) -> list[str]:
+    return [name for name in inside.names() if name.lower().endswith(".csv")]
+
+
+def _lines(
+    inside: Inside, name: str, rate_hz: float | None, films: Sequence[str], tally: Tally
+) -> Iterator[_Line]:
+    called = inside.called(name)
     try:
-        needed = {"image", "linear_m_s", "angular_rad_s"} | (set() if rate_hz else {"time_s"})
-        if lacks := sorted(needed - set(table.fieldnames or ())):
-            raise ImportFailure(f"{inside.called(name)}: lacks the columns {', '.join(lacks)}")
+        table = _table(inside, name)
+        given = [column.strip().lower() for column in table.fieldnames or ()]
+        table.fieldnames = given
+        needed = _needed(given, called, films, rate_hz)
         for number, values in enumerate(table):
             if number >= MOST_SAMPLES:
-                raise ImportFailure(
-                    f"{inside.called(name)}: too large (more than {MOST_SAMPLES} rows)"
-                )
-            told = {column: values[column] for column in COLUMNS if values.get(column)}
-            try:
-                yield _Line.model_validate(told | ({"time_s": number / rate_hz} if rate_hz else {}))
-            except ValidationError:
+                raise ImportFailure(f"{called}: too large (more than {MOST_SAMPLES} rows)")
+            line = _line(values, needed, None if rate_hz is None else number / rate_hz)
+            if line is not None:
+                yield line
+            else:
                 tally.count("rows lack an image or a number")
     except csv.Error as error:
-        raise ImportFailure(f"{inside.called(name)}: not CSV: {error}") from None
+        raise ImportFailure(f"{called}: not CSV: {error}") from None
+
+
+def _line(values: dict[str, str], needed: set[str], time_s: float | None) -> _Line | None:
+    """Parse a row of the table; return None if it is incomplete."""
+    told = {column: values[column] for column in COLUMNS if values.get(column)}
+    # A spreadsheet in Europe writes 0,5 for 0.5.
+    told |= {key: told[key].replace(",", ".") for key in told if key not in _TEXTS}
+    told |= {} if time_s is None else {"time_s": str(time_s)}
+    try:
+        return _Line.model_validate(told) if needed <= told.keys() else None
+    except ValidationError:
+        return None
+
+
+def _needed(
+    given: Sequence[str], called: str, films: Sequence[str], rate_hz: float | None
+) -> set[str]:
+    """Return the columns that each row needs; raise ImportFailure if the table lacks them."""
+    needed = set(POSE if set(POSE) <= set(given) and not set(VELOCITY) & set(given) else VELOCITY)
+    if rate_hz is None:
+        needed.add("time_s")
+    if "image" in given or len(films) != 1:
+        needed.add("image")
+    if lacks := sorted(needed - set(given)):
+        named = printable(", ".join(filter(None, given)))[:200] or "none"
+        raise ImportFailure(
+            f"{called}: lacks the columns {', '.join(lacks)}; it has {named}, beside "
+            f"{len(films)} videos"
+        )
+    return needed
+
+
+def _table(inside: Inside, name: str) -> "csv.DictReader[str]":
+    """Return the table of a file, whose first line shows the delimiter."""
+    text = _text(inside, name)
+    header = next(text, "")
+    if header.lower().startswith("sep="):  # A line that Excel adds.
+        header = next(text, "")
+    delimiter = max(",;\t", key=header.count)
+    return csv.DictReader(chain([header], text), delimiter=delimiter)
 
 
 def _text(inside: Inside, name: str) -> Iterator[str]:
     for number, line in enumerate(inside.lines(name), 1):
+        if b"\0" in line:
+            raise ImportFailure(
+                f"{inside.called(name)}: line {number} is not text; save it as CSV UTF-8"
+            )
         try:
             yield line.decode("utf-8-sig" if number == 1 else "utf-8")
         except UnicodeDecodeError:
-            raise ImportFailure(f"{inside.called(name)}: line {number} is not UTF-8") from None
+            yield line.decode("cp1252", errors="replace")  # Text of Windows.

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Self
 
 import numpy as np
@@ -21,6 +21,10 @@ FASTEST_RAD_S = 100.0
 LATEST_S: Final = 9e9  # The year 2255: recordings count nanoseconds since 1970 in 63 bits.
 _FURTHEST_M: Final = 4e7  # The circumference of the earth: some odometry uses geographic grids.
 _MOST_TURNED_RAD: Final = 2e8  # A turn every second for a year.
+
+_APART_S: Final = 1.5  # Times closer than this are one span of a report.
+_TENTH_S: Final = 0.1
+_MOST_SPANS: Final = 3
 
 
 class ImportFailure(JobError):  # noqa: N818 - ImportError is Python's own
@@ -44,12 +48,20 @@ class ImportedDrive:
     name: str  # Name in the source.
     times_s: Array  # (n,) of the frames.
     images: Images  # The n frames in order; each call returns new ones.
-    motion: Array  # (k, 3) time, speed ahead, turn rate counter-clockwise, ascending.
+    #: (k, 3) time, speed ahead, turn rate counter-clockwise, ascending; of the track if empty.
+    motion: Array
     #: (m, 4) time, x and y in metres, heading in radians, ascending: poses by odometry.
     track: Array = field(default_factory=lambda: np.zeros((0, 4)))
     success: bool | None = None  # Whether it reached its goal; None if unknown.
+    #: (l, 3) time, speed ahead, turn rate, ascending: velocities that the odometry reports.
+    twist: Array = field(default_factory=lambda: np.zeros((0, 3)))
     camera: Camera | None = None  # None if unknown.
     metric: bool = True  # Whether velocities are in metres and radians per second.
+
+    @property
+    def called(self) -> str:
+        """Name of the drive in a report."""
+        return f"drive {printable(self.name)}" if self.name else "the drive"
 
     @classmethod
     def of_rows(
@@ -66,6 +78,22 @@ class ImportedDrive:
         furthest = (LATEST_S, _FURTHEST_M, _FURTHEST_M, _MOST_TURNED_RAD)
         where = _sound(track, furthest, "poses are not finite or too far away", tally)
         return cls(name, times_s, images, motion_of(motion, tally), where, **more)
+
+    def without(self, at_s: float, pause_s: float) -> Self:
+        """Return the drive with all times after a moment earlier by a pause."""
+
+        def earlier(rows: Array) -> Array:
+            moved = rows.copy()
+            moved[rows[:, 0] > at_s, 0] -= pause_s
+            return moved
+
+        return replace(
+            self,
+            times_s=earlier(self.times_s[:, None])[:, 0],
+            motion=earlier(self.motion),
+            track=earlier(self.track),
+            twist=earlier(self.twist),
+        )
 
 
 @dataclass
@@ -85,6 +113,12 @@ class Tally:
         if remark not in self.remarks:
             self.remarks.append(remark)
 
+    def say_all(self, what: str, places: list[str]) -> None:
+        """Add a remark on all places where something is so, if any."""
+        if places:
+            more = f" and {len(places) - _MOST_SPANS} more" if len(places) > _MOST_SPANS else ""
+            self.say(f"{what} {', '.join(places[:_MOST_SPANS])}{more}")
+
     def counted(self) -> list[str]:
         """Return the counted defects, one per line."""
         return [f"{times} {what}" for what, times in self.counts.items()]
@@ -92,6 +126,17 @@ class Tally:
     def lines(self) -> list[str]:
         """Return the remarks and the counted defects, one per line."""
         return [*self.remarks, *self.counted()]
+
+
+def spans(times_s: Array) -> list[str]:
+    """Return the spans of times as text, such as ``3.0 to 5.1 s``."""
+    parts = np.split(times_s, np.flatnonzero(np.diff(times_s) > _APART_S) + 1)
+    return [
+        f"{part[0]:.1f} s"
+        if part[-1] - part[0] < _TENTH_S
+        else f"{part[0]:.1f} to {part[-1]:.1f} s"
+        for part in parts
+    ]
 
 
 def motion_of(rows: Rows, tally: Tally) -> Array:

@@ -1,18 +1,25 @@
-"""Conversion of foreign images and videos to JPEG; JPEG files are copied unchanged."""
+"""Conversion of foreign images to JPEG; upright JPEG files are copied unchanged."""
 
-import math
-from collections.abc import Iterator, Sequence
-from contextlib import closing
+from collections.abc import Sequence
 from functools import partial
-from typing import IO, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.camera import CompressedImage
-from services.importers.drive import Array, Image, ImportedDrive, ImportFailure, NotAnImage, Tally
+from services.importers.clocks import in_order
+from services.importers.drive import (
+    Images,
+    ImportedDrive,
+    ImportFailure,
+    NotAnImage,
+    Rows,
+    Tally,
+)
 from services.importers.inside import Inside
-from services.kit.jpeg import MOST_PIXELS, decode_image_file, encode_jpeg, is_jpeg
+from services.kit.jpeg import encode_jpeg, shrunk
+from services.kit.pixels import ENCODINGS, FORMATS, decode_file, is_upright, rgb_of
 
 MOST_BYTES: Final = CompressedImage.max_bytes - 2**16  # Maximum size of an image file, bytes.
 _MOST: Final = (4096, 3072)  # Maximum columns and rows of a recorded image.
@@ -20,40 +27,57 @@ _LEAST: Final = (32, 24)  # Minimum columns and rows for features.
 #: Maximum rate of robot cameras: higher rates are the times of copying the data set.
 _FASTEST_HZ: Final = 120.0
 _UNREAD: Final = "images cannot be read"
-_JPEG: Final = b"\xff\xd8"
-_PNG: Final = b"\x89PNG\r\n\x1a\n"
+_CONVERTED: Final = "images of the format {} are converted to JPEG"
+_PNG: Final = b"\x89PNG"
+_DEPTH_HEADER: Final = 12  # Bytes before the PNG of a depth image that ROS compressed.
 
 
-def as_jpeg(data: bytes) -> bytes:
-    """Return a JPEG or PNG file as JPEG; raises `NotAnImage` if it does not decode."""
+def as_jpeg(data: bytes, tally: Tally) -> bytes:
+    """Return an image file as an upright JPEG; raises `NotAnImage` if it does not decode."""
     if len(data) > MOST_BYTES:
         raise NotAnImage("images are larger than 16 MiB")
-    if not data.startswith((_JPEG, _PNG)):
-        raise NotAnImage("images are neither JPEG nor PNG")
-    # OpenCV allocates what the header claims, and libpng logs a PNG without an end.
-    width = int.from_bytes(data[16:20], "big")
-    height = int.from_bytes(data[20:24], "big")
-    png = data[12:16] == b"IHDR" and 0 < width * height <= MOST_PIXELS and b"IEND" in data[-16:]
-    sound = png if data.startswith(_PNG) else is_jpeg(data)
-    pixels = decode_image_file(data) if sound else None
+    form = next((name for start, name in FORMATS.items() if data.startswith(start)), "other")
+    pixels = decode_file(data)
     if pixels is None:
-        raise NotAnImage("images are damaged")
-    if data.startswith(_PNG):
-        return raw_as_jpeg(pixels)
-    _check_size(pixels)
-    return data
+        raise NotAnImage("images are damaged, or have a format that OpenCV cannot decode")
+    if form == "JPEG" and is_upright(data):
+        return data if _recorded_width(pixels) == pixels.shape[1] else raw_as_jpeg(pixels)
+    upright = "images are turned upright by their EXIF orientation"
+    tally.count(upright if form == "JPEG" else _CONVERTED.format(form))
+    return raw_as_jpeg(pixels)
+
+
+def ros_as_jpeg(image: Any, tally: Tally) -> bytes:  # noqa: ANN401 - its class is made of its definition
+    """Return a `CompressedImage` or an `Image` of ROS as JPEG; raises `NotAnImage` if invalid."""
+    if hasattr(image, "format"):
+        data = bytes(image.data)
+        if data.startswith(_PNG, _DEPTH_HEADER):
+            tally.say("images show depth (compressedDepth); choose the colour images with --camera")
+            data = data[_DEPTH_HEADER:]
+        return as_jpeg(data, tally)
+    if image.encoding not in ENCODINGS:
+        raise NotAnImage(f"images have the unsupported encoding {image.encoding or '(empty)'}")
+    try:
+        pixels = rgb_of(image)
+    except ValueError:
+        raise NotAnImage("images are damaged") from None
+    tally.count(_CONVERTED.format(image.encoding))
+    return raw_as_jpeg(pixels)
 
 
 def raw_as_jpeg(pixels: NDArray[np.uint8]) -> bytes:
-    """Compress RGB pixels (height, width, 3); raises `NotAnImage` for an implausible size."""
-    _check_size(pixels)
-    return encode_jpeg(pixels)
+    """Compress RGB pixels (height, width, 3), shrunk to the largest recorded size."""
+    width = _recorded_width(pixels)
+    return encode_jpeg(pixels if width == pixels.shape[1] else shrunk(pixels, width))
 
 
-def _check_size(pixels: NDArray[np.uint8]) -> None:
+def _recorded_width(pixels: NDArray[np.uint8]) -> int:
+    """Return the width of a recorded image; raises `NotAnImage` if it is too small."""
     height, width = pixels.shape[:2]
-    if not (_LEAST[0] <= width <= _MOST[0] and _LEAST[1] <= height <= _MOST[1]):
-        raise NotAnImage("images are not within 32x24 and 4096x3072 pixels")
+    recorded = int(min(width, _MOST[0], _MOST[1] * width // height))
+    if recorded < _LEAST[0] or height * recorded < _LEAST[1] * width:
+        raise NotAnImage("images are smaller than 32x24 pixels")
+    return recorded
 
 
 class Row(NamedTuple):
@@ -61,7 +85,7 @@ class Row(NamedTuple):
 
     image: str
     time_s: float
-    velocity: tuple[float, float]
+    velocity: tuple[float, float] | None
     pose: tuple[float, float, float] | None = None
 
 
@@ -75,7 +99,9 @@ def drive_of(
     metric: bool = True,
 ) -> ImportedDrive:
     """Create a drive from its frames; raise ImportFailure if the frame rate is implausible."""
-    times_s = np.array([row.time_s for row in rows])
+    times_s = in_order(np.array([row.time_s for row in rows]), tally)
+    rows = [rows[at]._replace(time_s=times_s[at]) for at in np.argsort(times_s, kind="stable")]
+    times_s = np.sort(times_s)
     usual_s = float(np.median(np.diff(times_s))) if len(rows) > 1 else 1.0
     if usual_s * _FASTEST_HZ < 1.0:
         said = f"{1.0 / usual_s:.0f} frames per second" if usual_s > 0.0 else "all frames at once"
@@ -83,66 +109,29 @@ def drive_of(
             f"{inside.path}: invalid times ({said}), as in a copied data set; give the frame "
             "rate with --rate, for example --rate 20"
         )
-    motion = [(row.time_s, *row.velocity) for row in rows]
-    track = [(row.time_s, *row.pose) for row in rows if row.pose is not None]
-
-    def images() -> Iterator[Image]:
-        return (partial(_image, inside, row.image, tally) for row in rows)
-
+    images = files([row.image for row in rows], inside, tally)
     return ImportedDrive.of_rows(
-        name, times_s, images, motion, track, tally, success=success, metric=metric
+        name, times_s, images, *moved(rows), tally, success=success, metric=metric
     )
+
+
+def moved(rows: Sequence[Row]) -> tuple[Rows, Rows]:
+    """Return the motion and the track of frames."""
+    motion = [(row.time_s, *row.velocity) for row in rows if row.velocity is not None]
+    track = [(row.time_s, *row.pose) for row in rows if row.pose is not None]
+    return motion, track
+
+
+def files(names: Sequence[str], inside: Inside, tally: Tally) -> Images:
+    """Return the image files of a folder as JPEG."""
+    return lambda: (partial(_image, inside, name, tally) for name in names)
 
 
 def _image(inside: Inside, name: str, tally: Tally) -> bytes:
     try:
-        return as_jpeg(inside.read(name, MOST_BYTES))
+        return as_jpeg(inside.read(inside.spelled(name), MOST_BYTES), tally)
     except ImportFailure as error:
         # One remark names the reason.
         if not tally.counts[_UNREAD]:
             tally.say(str(error))
         raise NotAnImage(_UNREAD) from None
-
-
-def frames_at(file: IO[bytes], called: str, times_s: Array, tolerance_s: float) -> Iterator[Image]:
-    """Yield the frame of an MP4 nearest to each time, ascending; ImportFailure if unreadable."""
-    import av  # noqa: PLC0415 - of the extra `formats`
-
-    try:
-        # From the open file only: a playlist disguised as MP4 can name other files.
-        with closing(av.open(file, mode="r", format="mp4")) as container:
-            if not container.streams.video:
-                raise ImportFailure(f"{called}: no video")
-            stream = container.streams.video[0]
-            if stream.codec_context.width * stream.codec_context.height > MOST_PIXELS:
-                raise ImportFailure(f"{called}: too large (more than {MOST_PIXELS} pixels)")
-            stream.thread_type = "NONE"
-            stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
-            if times_s[0] > 0.0 and stream.time_base:
-                container.seek(
-                    math.floor(times_s[0] / float(stream.time_base)), stream=stream, backward=True
-                )
-            yield from _nearest(container.decode(stream), times_s, tolerance_s)
-    except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:
-        reason = getattr(error, "strerror", None) or type(error).__name__
-        raise ImportFailure(f"{called}: not a readable video: {reason}") from None
-
-
-def _nearest(frames: Iterator[Any], times_s: Array, tolerance_s: float) -> Iterator[Image]:
-    held = None
-    following = next(frames, None)
-    for time_s in times_s.tolist():
-        while following is not None and _off(following, time_s) <= _off(held, time_s):
-            held = following
-            following = next(frames, None)
-        yield partial(_frame, held if _off(held, time_s) <= tolerance_s else None)
-
-
-def _off(frame: Any, time_s: float) -> float:  # noqa: ANN401 - of a package without types
-    return math.inf if frame is None or frame.time is None else abs(float(frame.time) - time_s)
-
-
-def _frame(frame: Any) -> bytes:  # noqa: ANN401 - as above
-    if frame is None:
-        raise NotAnImage("frames are not in the video")
-    return raw_as_jpeg(np.asarray(frame.to_ndarray(format="rgb24"), dtype=np.uint8))

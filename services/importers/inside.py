@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Final, TypeVar
+from unicodedata import normalize
 
 from pydantic import BaseModel, ValidationError
 
@@ -26,6 +27,7 @@ class Inside:
         with self._failures(""):
             self._root = path.resolve(strict=True)
         self.is_folder = self._root.is_dir()
+        self._spellings: dict[str, dict[str, str]] = {}
 
     def called(self, name: str) -> str:
         """Return the name of a file in the folder, for messages."""
@@ -78,6 +80,21 @@ class Inside:
             path = below(self._root, folder)
             return sorted(each.name for each in path.iterdir()) if path.is_dir() else []
 
+    def folders(self, folder: str = "") -> list[str]:
+        """Return the sorted names of the folders in a folder, without links."""
+        with self._failures(folder):
+            path = below(self._root, folder)
+            return sorted(
+                each.name for each in path.iterdir() if each.is_dir() and not each.is_symlink()
+            )
+
+    def spelled(self, name: str) -> str:
+        """Return a file's name as its folder has it: case, accents and slashes differ by system."""
+        folder, slash, last = name.replace("\\", "/").rpartition("/")
+        if folder not in self._spellings:
+            self._spellings[folder] = {_alike(found): found for found in self.names(folder)}
+        return f"{folder}{slash}{self._spellings[folder].get(_alike(last), last)}"
+
     def parsed(self, model: type[Model], data: bytes, name: str) -> Model:
         """Parse the JSON of a file or a line; ImportFailure if it does not fit the model."""
         try:
@@ -86,3 +103,7 @@ class Inside:
             raise ImportFailure(
                 f"{self.called(name)}: {describe(error).removeprefix('message: ')}"
             ) from None
+
+
+def _alike(name: str) -> str:
+    return normalize("NFC", name).casefold()

@@ -11,11 +11,14 @@ from schemas.episode import GoalName
 from services.importers.ticks import QUANTILE
 from services.kit.errors import UsageError
 
-Format = Literal["rosbag2", "lerobot", "donkeycar", "folder"]
+Format = Literal["rosbag2", "rosbag1", "lerobot", "donkeycar", "folder"]
 FORMATS: Final[tuple[Format, ...]] = get_args(Format)
+Rotation = Literal[0, 90, 180, 270]
+ROTATIONS_DEG: Final[tuple[Rotation, ...]] = get_args(Rotation)
 #: Packages that a format needs.
 _PACKAGES: Final[dict[Format, tuple[str, ...]]] = {
     "rosbag2": ("rosbags",),
+    "rosbag1": ("rosbags",),
     "lerobot": ("pyarrow", "av"),
 }
 _Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
@@ -39,7 +42,9 @@ class ImportJob(Strict):
     still: _Fraction = STILL
     turning: _Fraction = TURNING
     camera: str | None = None
+    rotate_deg: Rotation = 0  # Clockwise.
     velocity: str | None = None
+    odometry: str | None = None
     rate_hz: _Rate | None = None
     speed: _Rate | None = None
     turn_rate: _Rate | None = None

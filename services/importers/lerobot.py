@@ -4,7 +4,6 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from functools import partial
-from itertools import chain
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import numpy as np
@@ -20,9 +19,10 @@ from services.importers.drive import (
     NotAnImage,
     Tally,
 )
-from services.importers.images import as_jpeg, frames_at
+from services.importers.images import as_jpeg
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
+from services.importers.videos import frames_at
 
 #: Metres and radians per second, and the pose by odometry, in our own data sets.
 VELOCITIES: Final = ("linear_velocity", "angular_velocity")
@@ -30,16 +30,16 @@ ACTION = "action"
 STATE = "observation.state"
 SUCCESS = "next.success"
 POSE: Final = ("x_m", "y_m", "heading_rad")
-#: Names of velocities, and the unit of the angular one in radians a second; LeKiwi has degrees.
-_NAMES: Final[dict[tuple[str, ...], float]] = {
-    ("x_vel", "theta_vel"): math.radians(1.0),
-    VELOCITIES: 1.0,
-    ("linear_vel", "angular_vel"): 1.0,
-    ("linear_x", "angular_z"): 1.0,
-    ("linear", "angular"): 1.0,
-    ("vx", "wz"): 1.0,
-}
-_SIDEWAYS: Final = ("y_vel", "linear_y", "vy")
+#: Last parts of the names of velocities, the usual ones first.
+_LINEAR: Final = (
+    "x_vel", "linear_velocity", "linear_vel", "linear_x", "linear", "vx", "vel_x",
+)  # fmt: skip
+_ANGULAR: Final = (
+    "theta_vel", "angular_velocity", "angular_vel", "angular_z", "angular", "wz", "omega",
+    "yaw_rate", "yaw_vel", "vel_theta", "vyaw",
+)  # fmt: skip
+_SIDEWAYS: Final = ("y_vel", "linear_y", "vy", "vel_y")
+_DEGREES: Final = "theta_vel"  # Of LeKiwi, in degrees a second.
 _LEAST_SIDEWAYS: Final = 0.02  # Slower sideways movement is measurement noise, as in `ticks` ahead.
 _LINES: Final = "meta/episodes.jsonl"  # Files of version 2.
 _DATA_V2: Final = "data/chunk-{0:03d}/episode_{1:06d}.parquet"
@@ -58,11 +58,14 @@ _IMAGES = 16
 _LIMITS: Final = {"thrift_string_size_limit": 64 * 2**20, "thrift_container_size_limit": 10_000_000}
 
 
-def _names(names: object) -> list[str]:
-    """Return the names of a feature's numbers: a list, or the only value of a map."""
-    if isinstance(names, dict) and len(names) == 1:
-        (names,) = names.values()
-    return [str(name) for name in names] if isinstance(names, list) else []
+def _names(names: JsonValue) -> list[str]:
+    """Return the names of a feature's numbers: nested lists or maps of names, or map to numbers."""
+    if isinstance(names, dict):
+        indexed = all(isinstance(one, int) for one in names.values())
+        return _names(list(names) if indexed else list(names.values()))
+    if isinstance(names, list):
+        return [name for one in names for name in _names(one)]
+    return [] if names is None else [str(names)]
 
 
 class _Feature(BaseModel):
@@ -110,6 +113,11 @@ class _Velocity(NamedTuple):
     sideways: int | None
     metres: float
     radians: float
+
+
+def found(inside: Inside) -> bool:
+    """Return whether a folder is a data set."""
+    return INFO.rpartition("/")[2] in inside.names(INFO.rpartition("/")[0])
 
 
 def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
@@ -238,7 +246,7 @@ class _DataSet:
 
     def _embedded(self, episode: _Episode, _times_s: Array) -> Iterator[Image]:
         for batch in _batches(self._inside, episode.data, [self._camera], episode.number, _IMAGES):
-            yield from (partial(_cell, cell) for cell in batch.column(self._camera))
+            yield from (partial(_cell, cell, self._tally) for cell in batch.column(self._camera))
 
 
 def _camera(info: _Info, job: ImportJob, called: str) -> str:
@@ -252,45 +260,63 @@ def _camera(info: _Info, job: ImportJob, called: str) -> str:
 
 
 def _velocity(info: _Info, job: ImportJob, called: str) -> _Velocity:
-    names_of = {feature: list(map(_plain, info.names(feature))) for feature in (ACTION, STATE)}
     # The command describes the driver better than the movement that follows.
-    for feature, names in names_of.items():
-        for (linear, angular), radians in _wanted_names(job).items():
-            if {linear, angular} <= set(names):
-                return _Velocity(
-                    feature,
-                    names.index(linear),
-                    names.index(angular),
-                    next((names.index(name) for name in _SIDEWAYS if name in names), None),
-                    job.speed or 1.0,
-                    job.turn_rate or radians,
-                )
-    there = dict.fromkeys(chain.from_iterable(names_of.values()))
-    named = ", ".join(map(printable, there)) or "no names"
+    for feature in dict.fromkeys([ACTION, STATE, *info.features]):
+        names = [_plain(name) for name in info.names(feature)]
+        linear, angular = _pair(names, job.velocity)
+        if linear is None or angular is None:
+            continue
+        degrees = any(name.endswith(_DEGREES) for name in names[angular : angular + 1])
+        radians = math.radians(1.0) if degrees else 1.0
+        return _Velocity(
+            feature,
+            linear,
+            angular,
+            _index(names, _SIDEWAYS),
+            job.speed or 1.0,
+            job.turn_rate or radians,
+        )
+    named = (f"{feature}: {', '.join(info.names(feature))}" for feature in info.features)
     raise ImportFailure(
-        f"{called}: no linear and angular velocity of a base in {ACTION} or {STATE} "
-        f"({named[:300]}); name them with --velocity LINEAR,ANGULAR"
+        f"{called}: no linear and angular velocity of a base in {printable('; '.join(named))[:300]};"
+        " name them with --velocity LINEAR,ANGULAR, or number them: --velocity 0,1"
     )
 
 
-def _wanted_names(job: ImportJob) -> dict[tuple[str, ...], float]:
-    """Return the names of velocities to search for, each with the unit of the angular one."""
-    if job.velocity is None:
-        return _NAMES
-    asked = tuple(map(_plain, job.velocity.split(",")))
-    return {asked: _NAMES.get(asked, 1.0)} if len(asked) == 2 else {}
+def _pair(names: list[str], asked: str | None) -> tuple[int | None, int | None]:
+    """Return the indexes of the linear and the angular velocity in the names of a feature."""
+    if asked is None:
+        return _index(names, _LINEAR), _index(names, _ANGULAR)
+    linear, _, angular = asked.partition(",")
+    return _asked(names, linear), _asked(names, angular)
+
+
+def _index(names: list[str], endings: Sequence[str]) -> int | None:
+    """Return the index of the only name that ends so; the first ending that fits decides."""
+    for ending in endings:
+        found = [index for index, name in enumerate(names) if f"_{name}".endswith(f"_{ending}")]
+        if found:
+            return found[0] if len(found) == 1 else None
+    return None
+
+
+def _asked(names: list[str], name: str) -> int | None:
+    """Return the index of a requested name; a number is the index itself."""
+    if name.strip().isdecimal():
+        return int(name)
+    return names.index(_plain(name)) if _plain(name) in names else None
 
 
 def _plain(name: str) -> str:
     return re.sub(r"[.\s/_]+", "_", name.strip().lower())
 
 
-def _cell(cell: Any) -> bytes:  # noqa: ANN401 - of a package without types
+def _cell(cell: Any, tally: Tally) -> bytes:  # noqa: ANN401 - of a package without types
     value = cell.as_py()
     data = value.get("bytes") if isinstance(value, dict) else value
     if not isinstance(data, bytes):
         raise NotAnImage("images are not in the Parquet file")
-    return as_jpeg(data)
+    return as_jpeg(data, tally)
 
 
 def _batches(

@@ -16,10 +16,11 @@ from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.motion import Odometry
 from services.importers.drive import Array, ImportedDrive, ImportFailure, NotAnImage, Tally
+from services.importers.images import raw_as_jpeg
 from services.importers.job import ImportJob
 from services.importers.ticks import Moves, Nominal, Ticks, odometry, shares_of, ticks
-from services.kit.cameras import camera_info
-from services.kit.jpeg import jpeg_size
+from services.kit.cameras import camera_info, turned
+from services.kit.jpeg import decode_jpeg, jpeg_size
 from services.recordings.writer import EpisodeWriter
 from smal.camera import Camera
 from smal.movement import wrapped
@@ -46,7 +47,7 @@ def write(
     ``advance`` is called for each frame. An error leaves no file behind.
     """
     shown = ticks(drive.times_s, job.from_s, job.to_s, tally)
-    images = _images(drive, shown, tally, advance)
+    images = _images(drive, shown, tally, advance, job.rotate_deg)
     begin = list(islice(images, _LEAST_FRAMES))
     if len(begin) < _LEAST_FRAMES:
         tally.count("drives have fewer than two usable frames (left out)")
@@ -108,7 +109,7 @@ class _Episode:
         width, height = jpeg_size(jpeg) or (0, 0)
         yield CompressedImage.after(cause, width=width, height=height, data=jpeg)
         if self._camera is not None and not self.atoms:
-            yield camera_info(cause, self._camera, width, height)
+            yield camera_info(cause, self._turned(self._camera, width, height), width, height)
         if self.poses is not None and not np.isnan(self.poses[row, 0]):
             pose = self.poses[row].round(_DIGITS).tolist()
             yield Odometry.after(cause, **dict(zip(_POSE, pose, strict=True)))
@@ -118,6 +119,17 @@ class _Episode:
         done = share._asdict() | {"atom": atom, "source": "teleop", "reason": "command"}
         yield CommandApplied.after(cause, **done)
 
+    def _turned(self, camera: Camera, width: int, height: int) -> Camera:
+        """Turn a camera of the source as its images, which then have this size."""
+        if self._job.field_of_view_deg is not None:
+            return camera
+        quarters = self._job.rotate_deg // 90
+        aspect = height / width if quarters % 2 == 0 else width / height
+        for _ in range(quarters):
+            camera = turned(camera, aspect)
+            aspect = 1.0 / aspect
+        return camera
+
     def _header(self, row: int) -> Message:
         tick = int(self._shown.numbers[row])
         stamp_ns = round((max(self._shown.start_s, 0.0) + TICK_S * tick) * 1e9)
@@ -125,9 +137,13 @@ class _Episode:
 
 
 def _images(
-    drive: ImportedDrive, shown: Ticks, tally: Tally, advance: Callable[[], None]
+    drive: ImportedDrive,
+    shown: Ticks,
+    tally: Tally,
+    advance: Callable[[], None],
+    rotate_deg: int,
 ) -> Iterator[tuple[int, bytes]]:
-    """Yield each row of the ticks with its JPEG, except unusable frames."""
+    """Yield each row of the ticks with its JPEG, turned clockwise, except unusable frames."""
     rows = np.searchsorted(shown.frames, np.arange(drive.times_s.size + 1)).tolist()
     for frame, image in enumerate(drive.images()):
         advance()
@@ -135,6 +151,8 @@ def _images(
             continue
         try:
             jpeg = image()
+            if rotate_deg:
+                jpeg = raw_as_jpeg(np.rot90(decode_jpeg(jpeg), -rotate_deg // 90))
         except NotAnImage as error:
             tally.count(str(error))
             continue

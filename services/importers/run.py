@@ -15,6 +15,8 @@ from typing import Any, Final
 import numpy as np
 
 from schemas.base import ATOMS
+from schemas.codec import printable
+from services.importers.comparing import sound
 from services.importers.drive import ImportedDrive, ImportFailure, Tally
 from services.importers.inside import Inside
 from services.importers.job import FORMATS, Format, ImportJob, ImportReport, OdometryOrigin
@@ -24,7 +26,10 @@ from services.kit.errors import describe_os_error
 from smal.files.confined import ConfinedError, Work
 
 #: Modules of this package that read a format, by ``read(inside, job, tally)``.
-_READERS: Final[dict[Format, str]] = {form: form for form in FORMATS} | {"folder": "csv_folder"}
+_READERS: Final[dict[Format, str]] = {form: form for form in FORMATS} | {
+    "folder": "csv_folder",
+    "rosbag1": "rosbag2",
+}
 MOST_MEMORY: Final = 2 * 2**30  # In bytes; the numbers of the longest drive take a quarter.
 _PERIOD_S: Final = 0.1  # Between two reports of progress, seconds.
 
@@ -40,7 +45,10 @@ def run(
         If the source cannot be read, or the recordings cannot be written.
     """
     try:
-        drives = _drives(job, tally)
+        read = _drives(job, tally)
+        counts = tally.counts.copy()
+        drives = [part for drive in read for part in sound(drive, tally)]
+        tally.counts = counts  # The writer counts the compared images as it reads them again.
         usual = nominal(np.concatenate([drive.motion[:, 1:] for drive in drives]), job.quantile)
         total = sum(drive.times_s.size for drive in drives)
         found = [write(drive, job, usual, tally, lambda: advance(total)) for drive in drives]
@@ -54,8 +62,7 @@ def run(
 
 
 def _drives(job: ImportJob, tally: Tally) -> list[ImportedDrive]:
-    reader = importlib.import_module(f"services.importers.{_READERS[job.format]}")
-    every: list[ImportedDrive] = reader.read(Inside(Path(job.path)), job, tally)
+    every = _read(Inside(Path(job.path)), job, tally)
     drives = [drive for drive in every if not job.episodes or drive.name in job.episodes]
     if not drives:
         names = ", ".join(drive.name for drive in every[:10]) or "none"
@@ -63,6 +70,30 @@ def _drives(job: ImportJob, tally: Tally) -> list[ImportedDrive]:
             f"{job.path}: episodes {', '.join(job.episodes)} not found; choose from {names}"
         )
     return drives
+
+
+def _reader(form: Format) -> Any:  # noqa: ANN401 - a module
+    return importlib.import_module(f"services.importers.{_READERS[form]}")
+
+
+def _read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
+    """Read a source; an error about another format names what is there."""
+    reader = _reader(job.format)
+    read: Callable[[Inside, ImportJob, Tally], list[ImportedDrive]] = reader.read
+    if reader.found(inside):
+        return read(inside, job, tally)
+    if others := [form for form in FORMATS if _reader(form).found(inside)]:
+        raise ImportFailure(
+            f"{inside.path}: not of the format {job.format}; run: smal import {others[0]} "
+            f"{inside.path}"
+        )
+    names = inside.names() if inside.is_folder else [inside.path.name]
+    kinds = Counter(Path(name).suffix or "(no suffix)" for name in names).most_common(5)
+    named = printable(", ".join(f"{count} {kind}" for kind, count in kinds)) or "none"
+    try:
+        return read(inside, job, tally)
+    except ImportFailure as error:
+        raise ImportFailure(f"{error}; files there: {named}") from None
 
 
 def _report(

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from schemas.base import MAX_TICK, TICK_S, Velocity
 from services.importers.drive import (
-    FASTEST_M_S,
     LATEST_S,
     Array,
     ImportedDrive,
@@ -27,14 +26,17 @@ from smal.movement import seen_from
 
 #: Command timeout of a base: as in ROS drivers, twice the timeout of our gate.
 HOLD_S: Final = 0.5
-#: Largest distance of a tick from its frame; below 4 Hz too little of the route is visible.
+#: Largest distance of a tick from its frame.
 GAP_S: Final = 0.125
+#: The same for a slower camera, in periods of the camera: half a period, and its jitter.
+_GAP: Final = 0.75
+_SLOWEST_S: Final = 1.0  # Period above which too little of the route is visible.
 _ROUNDING_S: Final = 1e-6  # Rounding error of times.
 _FURTHEST_M: Final = 1e6  # Maximum distance of a recorded pose from the first pose.
 #: Smallest intended velocities: 2 cm and 6 degrees per second. Without units they are 2 % of full
 #: throttle, and 10 % of full lock at that throttle.
-_LEAST_LINEAR = 0.02
-_LEAST_ANGULAR = 0.1
+LEAST_LINEAR = 0.02
+LEAST_ANGULAR = 0.1
 #: Quantile of the moving samples that defines the nominal speed and turn rate: the fastest samples
 #: are noise or slips.
 QUANTILE: Final = 0.95
@@ -78,7 +80,7 @@ def ticks(times_s: Array, from_s: float, to_s: float, tally: Tally) -> Ticks:
         )
     due_s = there_s[0] + TICK_S * np.arange(count)
     nearest = np.searchsorted((there_s[1:] + there_s[:-1]) / 2.0, due_s + _ROUNDING_S, side="right")
-    near = np.abs(there_s[nearest] - due_s) <= GAP_S + _ROUNDING_S
+    near = np.abs(there_s[nearest] - due_s) <= gap_of(there_s) + _ROUNDING_S
     shown = np.unique(nearest[near]).size
     tally.count("frames between two ticks are not needed", chosen.size - shown)
     tally.count("ticks have no frame", int((~near).sum()))
@@ -86,11 +88,20 @@ def ticks(times_s: Array, from_s: float, to_s: float, tally: Tally) -> Ticks:
     return Ticks(np.flatnonzero(near), chosen[nearest[near]], float(there_s[0]))
 
 
+def gap_of(times_s: Array) -> float:
+    """Return the largest distance of a tick from its frame for frames at times."""
+    period_s = float(np.median(np.diff(times_s))) if times_s.size > 1 else 0.0
+    return max(GAP_S, _GAP * min(period_s, _SLOWEST_S))
+
+
 class Moves:
-    """Movement of the robot from its motion: a sample holds until the next, at most `HOLD_S`."""
+    """Movement of the robot from its motion: a sample holds until the next, at most `hold_s`."""
 
     def __init__(self, motion: Array) -> None:
-        ends_s = motion[:, 0] + HOLD_S
+        # A base that receives commands once a second holds them for longer.
+        usual_s = float(np.median(np.diff(motion[:, 0]))) if len(motion) > 1 else 0.0
+        self.hold_s = max(HOLD_S, 2.0 * usual_s)
+        ends_s = motion[:, 0] + self.hold_s
         silent = np.append(motion[1:, 0], np.inf) > ends_s
         # Without a next sample in time the robot stands: a separate row, marked in the last column.
         stops = np.column_stack([ends_s, np.zeros((len(motion), 2)), np.ones(len(motion))])[silent]
@@ -125,11 +136,11 @@ class Moves:
         """Integrate the velocities by dead reckoning: poses (n, 3) at times, from (0, 0, 0)."""
         inside = self._times_s[(self._times_s > times_s[0]) & (self._times_s < times_s[-1])]
         grid = np.union1d(times_s, inside)
-        gone, turned = self.until(grid).T
+        gone, turned = (self.until(grid) - self.until(grid[:1])).T
         middle = (turned[1:] + turned[:-1]) / 2.0
         steps = np.stack([np.cos(middle), np.sin(middle)], axis=1) * np.diff(gone)[:, None]
         places = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-        found: Array = np.column_stack([places, turned - turned[0]])[np.searchsorted(grid, times_s)]
+        found: Array = np.column_stack([places, turned])[np.searchsorted(grid, times_s)]
         return found
 
 
@@ -140,20 +151,12 @@ def odometry(
 
     Poses come from the drive's track and are unknown further than `HOLD_S` from its samples.
     Without a track they are computed from the motion, if any. Raises ImportFailure if the track
-    jumps or leaves the plausible area.
+    leaves the plausible area.
     """
     if drive.track.size:
-        poses, known = _tracked(drive.track, times_s)
+        poses, known = tracked(drive.track, times_s)
         if not known.any():
             return None
-        steps_m = np.hypot(*np.diff(poses[known, :2], axis=0).T)
-        passed_s = np.diff(times_s[known])
-        if (jumps := np.flatnonzero(steps_m > FASTEST_M_S * passed_s)).size:
-            at = jumps[0]
-            raise ImportFailure(
-                f"drive {drive.name}: the odometry jumps by {steps_m[at]:.3g} m within {passed_s[at]:.1f} s, "
-                f"{times_s[known][at] - times_s[0]:.1f} s after the first frame; cut there with --from and --to"
-            )
         poses = seen_from(poses, np.broadcast_to(poses[known][0], poses.shape))
     elif moves is not None:
         poses = moves.way(times_s)
@@ -162,12 +165,32 @@ def odometry(
         return None
     if float(np.abs(poses[known, :2]).max()) > _FURTHEST_M:
         raise ImportFailure(
-            f"drive {drive.name}: odometry too large (more than {_FURTHEST_M / 1000.0:.0f} km)"
+            f"{drive.called}: odometry too large (more than {_FURTHEST_M / 1000.0:.0f} km)"
         )
     return poses, known
 
 
-def _tracked(track: Array, times_s: Array) -> tuple[Array, NDArray[np.bool_]]:
+def moving(motion: Array) -> NDArray[np.bool_]:
+    """Return which samples (time, speed, turn rate) move the robot."""
+    speed, turn = np.abs(motion[:, 1:3]).T
+    return np.asarray((speed > LEAST_LINEAR) | (turn > LEAST_ANGULAR), dtype=bool)
+
+
+def motion_along(track: Array) -> Array:
+    """Return time, speed ahead and turn rate along poses (time, x, y, heading), each over a tick."""
+    times_s = track[:, 0]
+    after = np.searchsorted(times_s, times_s + TICK_S - _ROUNDING_S)
+    after = np.minimum(after, times_s.size - 1)
+    passed_s = times_s[after] - times_s
+    before = np.flatnonzero((passed_s > 0.0) & (passed_s <= HOLD_S))
+    after = after[before]
+    steps = seen_from(track[after, 1:], track[before, 1:])
+    rates = steps[:, [0, 2]] / passed_s[before, None]
+    return np.column_stack([times_s[before], rates])
+
+
+def tracked(track: Array, times_s: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the poses of a track at times, (n, 3), and whether samples are beside."""
     columns = (track[:, 1], track[:, 2], np.unwrap(track[:, 3]))
     poses = np.stack([np.interp(times_s, track[:, 0], column) for column in columns], axis=1)
     after = np.searchsorted(track[:, 0], times_s)
@@ -185,14 +208,14 @@ class Nominal(NamedTuple):
 def nominal(velocities: Array, quantile: float = QUANTILE) -> Nominal:
     """Measure the speeds on the samples of all drives, (n, 2); raise ImportFailure without movement."""
     linear, angular = np.abs(velocities).T
-    driving = linear[linear > _LEAST_LINEAR]
-    turning = angular[angular > _LEAST_ANGULAR]
+    driving = linear[linear > LEAST_LINEAR]
+    turning = angular[angular > LEAST_ANGULAR]
     if not driving.size:
         raise ImportFailure(
             "the robot never drives: all velocities are below 0.02; check that they are in "
             "metres per second"
         )
-    fast = float(np.quantile(turning, quantile)) if turning.size else _LEAST_ANGULAR
+    fast = float(np.quantile(turning, quantile)) if turning.size else LEAST_ANGULAR
     return Nominal(float(np.quantile(driving, quantile)), fast)
 
 

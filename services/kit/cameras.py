@@ -1,5 +1,6 @@
 """Conversion of cameras to messages and back, for SMAL and ROS (`sensor_msgs/msg/CameraInfo`)."""
 
+from dataclasses import replace
 from typing import Any
 
 from schemas.base import Message
@@ -38,3 +39,9 @@ def camera_of_ros(info: Any) -> Camera:  # noqa: ANN401 - its class is made of i
     return Camera(
         k[0] / width, lens, distortion, ((k[2] - width / 2) / width, (k[5] - height / 2) / width)
     )
+
+
+def turned(camera: Camera, aspect: float) -> Camera:
+    """Return the camera of images turned clockwise by 90 degrees; aspect is height over width."""
+    right, down = camera.centre
+    return replace(camera, focal=camera.focal / aspect, centre=(-down / aspect, right / aspect))

@@ -39,19 +39,13 @@ def decode_jpeg(data: bytes) -> NDArray[np.uint8]:
     # OpenCV allocates as many pixels as the header claims, up to 3 GB.
     if not is_jpeg(data):
         raise ValueError(f"invalid JPEG image, or too large (maximum {MOST_PIXELS} pixels)")
-    image = decode_image_file(data)
-    if image is None:
-        raise ValueError("invalid JPEG image")
-    return image
-
-
-def decode_image_file(data: bytes) -> NDArray[np.uint8] | None:
-    """Decode an image file, whose header was checked, to (height, width, 3) RGB pixels, or None."""
     try:
         bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     except cv2.error:
-        return None
-    return None if bgr is None else cast("NDArray[np.uint8]", cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
+        bgr = None
+    if bgr is None:
+        raise ValueError("invalid JPEG image")
+    return cast("NDArray[np.uint8]", cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
 
 
 def is_jpeg(data: bytes) -> bool:

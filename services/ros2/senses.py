@@ -16,7 +16,8 @@ from schemas.camera import CompressedImage
 from schemas.motion import MAX_SAMPLES
 from services.kit.cameras import camera_of_ros
 from services.kit.jpeg import decode_jpeg, encode_jpeg
-from services.kit.ros_message import LARGEST_BYTES, rgb_of
+from services.kit.pixels import is_upright, rgb_of
+from services.kit.ros_message import LARGEST_BYTES
 from services.kit.throttle import Throttle
 from services.robot.body import ImuReading, Triple
 from services.robot.clock import now_s
@@ -317,13 +318,12 @@ def picture(message: RosMessage) -> bytes:
     """Return a message's image as JPEG; MessageError if it is invalid."""
     try:
         if hasattr(message, "format"):
-            # Published unchanged; decoded to check that it is complete.
+            # Published unchanged if it stands upright; decoded to check that it is complete.
             jpeg = message.data.tobytes()
             image = decode_jpeg(jpeg)
+            jpeg = jpeg if is_upright(jpeg) else b""
         else:
-            image = rgb_of(
-                message.encoding, message.width, message.height, message.step, message.data
-            )
+            image = rgb_of(message)
             jpeg = b""
         height, width, _ = image.shape
         if width > _MOST_COLUMNS or height > _MOST_ROWS:

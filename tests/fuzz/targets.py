@@ -48,7 +48,7 @@ from smal.movement import Movement
 from smal.planning import Planner
 from tests.fuzz import inputs
 from tests.schemas.messages import EXAMPLES, GOLDEN
-from tests.services.importers import sources
+from tests.services.importers import bags, sources
 
 LONGEST_INPUT: Final = 100_000
 CRASHERS: Final = Path(__file__).resolve().parent / "crashers"
@@ -371,13 +371,16 @@ def _bag_seeds() -> list[bytes]:
         if not folder.exists():
             sources.rosbag2(folder, sqlite=kind == "db3", packed=packed, hundredths=31, raw=None)
         found += [path.read_bytes() for path in folder.rglob(f"*.{kind}")]
-    return found
+    old = inputs.scratch() / "old"
+    if not old.exists():
+        bags.old(old)
+    return [*found, (old / "old.bag").read_bytes()]
 
 
 def _bag(data: bytes) -> bool:
-    return _import(
-        "rosbag2", inputs.file_of(data, f"bag.{'db3' if data.startswith(b'SQLite') else 'mcap'}")
-    )
+    kinds = {b"SQLite": "db3", b"#ROSBAG": "bag"}
+    kind = next((kind for start, kind in kinds.items() if data.startswith(start)), "mcap")
+    return _import("rosbag2", inputs.file_of(data, f"bag.{kind}"))
 
 
 _TUB = Imported(

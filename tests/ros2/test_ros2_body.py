@@ -238,7 +238,7 @@ def test_raw_pixels_are_read(encoding: str) -> None:
 @pytest.mark.parametrize(
     ("fields", "line"),
     [
-        ({"encoding": "bayer_rggb8"}, "unsupported encoding 'bayer_rggb8'; supported are rgb8"),
+        ({"encoding": "32FC1"}, "unsupported encoding '32FC1'; supported are rgb, bgr, rgba"),
         ({"height": 4096}, "pixels in 9216 bytes"),
         ({"width": 0}, "0x48 pixels"),
         ({"step": 3}, "3 per row"),

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from services.experiments.laps.finding import Frames, Lap, find_laps
 from services.experiments.words import remark
+from services.importers import donkeycar
 from services.importers.drive import Tally
+from services.importers.inside import Inside
 from services.importers.job import ImportJob
 from services.importers.run import run
 from services.kit.errors import JobError
@@ -41,7 +43,7 @@ def read_laps(
     JobError
         If there are fewer than three laps.
     """
-    tub = (source / "manifest.json").is_file()
+    tub = source.is_dir() and donkeycar.found(Inside(source))
     tally = Tally()
     with TemporaryDirectory() as folder:
         if tub:

@@ -20,6 +20,7 @@ Features = NDArray[np.float16]
 # Maximum number of images (2 GB with the usual features); the oldest are deleted.
 MOST_IMAGES: Final = 90_000
 _AT_ONCE: Final = 500  # Number of features per write.
+_DECODING: Final = b"upright"  # Part of the keys; change it with `services.kit.pixels.decode_file`.
 
 
 def cache_file() -> Path:
@@ -48,7 +49,8 @@ class FeatureCache:
     def key(self, *data: bytes) -> bytes:
         """Return the cache key of the features of some image files."""
         parts = [hashlib.sha256(one).digest() for one in data]
-        return hashlib.sha256(b"".join(parts) + self._settings.fingerprint.encode()).digest()
+        settings = self._settings.fingerprint.encode()
+        return hashlib.sha256(b"".join([*parts, _DECODING, settings])).digest()
 
     def find(self, key: bytes) -> Features | None:
         """Return cached features, float16 (m,), if any."""

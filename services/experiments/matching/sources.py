@@ -4,9 +4,8 @@ A frame of a folder is a file that OpenCV decodes, or a file with the extension 
 damaged image keeps its number, and a truth file stays valid for the frames after it. Hidden files
 and subfolders are ignored.
 
-Colour is that of OpenCV's IMREAD_COLOR: grey becomes three equal channels, 16 bits lose the lower
-8, transparency is dropped. The EXIF orientation is ignored, because often a part of a traverse
-lacks it.
+Grey becomes three equal channels, the upper 8 of 10 to 16 bits remain, transparency is dropped.
+Images are turned upright by their EXIF orientation.
 """
 
 import os
@@ -16,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from schemas.topics import JPEG
 from services.experiments.words import remark
 from services.kit.errors import UsageError
+from services.kit.pixels import decode_file, decoded
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.reader import read_recording
 
@@ -34,13 +34,7 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 LEAST_ROWS = 24
 LEAST_COLUMNS = 32
 MOST_BYTES: Final = 256 * 2**20  # Larger files are no camera images and are not read.
-# First and last bytes of a PNG file.
-_PNG: Final = (
-    b"\x89PNG\r\n\x1a\n",
-    b"IEND",
-)
 Picture = Path | bytes  # Path or content of a file.
-_COLOR: Final = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
 
 @dataclass(frozen=True)
@@ -167,39 +161,24 @@ def loaded(picture: Picture) -> bytes | None:
 
 def read_color(picture: Picture) -> NDArray[np.uint8] | None:
     """Return an image as RGB (height, width, 3), at least 24 rows and 32 columns; None if unreadable."""
-    bgr = _decoded(picture, _COLOR)
-    if bgr is None or bgr.dtype != np.uint8:
+    data = loaded(picture)
+    rgb = None if data is None else decode_file(data)
+    if rgb is None:
         return None
-    rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
     height, width = rgb.shape[:2]
-    if height < LEAST_ROWS or width < LEAST_COLUMNS:
-        rgb = cv2.resize(
-            rgb,
-            (max(width, LEAST_COLUMNS), max(height, LEAST_ROWS)),
-            interpolation=cv2.INTER_LINEAR,
-        )
-    return np.asarray(rgb, dtype=np.uint8)
+    if height >= LEAST_ROWS and width >= LEAST_COLUMNS:
+        return rgb
+    size = max(width, LEAST_COLUMNS), max(height, LEAST_ROWS)
+    return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
 
 
 def read_depth(picture: Picture) -> NDArray[np.uint16] | None:
     """Return a depth image, uint16 (height, width) in millimetres; None if unreadable."""
-    depth_mm = _decoded(picture, cv2.IMREAD_UNCHANGED)
+    data = loaded(picture)
+    depth_mm = None if data is None else decoded(data, cv2.IMREAD_UNCHANGED)
     if depth_mm is None or depth_mm.dtype != np.uint16 or depth_mm.ndim != 2:
         return None
     return np.asarray(depth_mm, dtype=np.uint16)
-
-
-def _decoded(picture: Picture, flags: int) -> NDArray[Any] | None:
-    data = loaded(picture)
-    # libpng reports a PNG without an end on standard error.
-    if data is None or (data.startswith(_PNG[0]) and _PNG[1] not in data):
-        return None
-    try:
-        # From memory: for a truncated file cv2.imread returns a half grey image, cv2.imdecode None.
-        decoded: NDArray[Any] | None = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except (MemoryError, cv2.error):
-        return None
-    return decoded
 
 
 @contextmanager

@@ -102,10 +102,11 @@ def bounded(function: str, request: object, source: Path, pass_fds: Sequence[int
 
 
 def world_of_map(path: Path, wishes: Wishes = Wishes()) -> World:
-    """Convert an OpenStreetMap XML file to a world; see `load_world`."""
+    """Convert an OpenStreetMap file to a world; see `load_world`."""
     extract = read_osm(path, wishes.around)
     with _naming(path):
-        terrain = terrain_from(extract, path.stem, path.name)
+        name = re.sub(r"(\.osm)?\.\w+$", "", path.name)
+        terrain = terrain_from(extract, name, path.name)
         _check_content(terrain)
         start = wishes.start or _role(extract, "start")
         victim = wishes.victim or _role(extract, "victim")

@@ -1,9 +1,18 @@
-"""Read nodes, ways and multipolygon relations from an OpenStreetMap XML file, in local metres."""
+"""Read nodes, ways and multipolygon relations from an OpenStreetMap file, in local metres.
 
+The content decides the format: XML, also as gzip or bzip2, PBF or o5m. What a user of JOSM deleted
+is left out.
+"""
+
+import bz2
+import gzip
 import math
-from collections.abc import Mapping, Sequence
+import re
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from io import BufferedIOBase
 from pathlib import Path
-from typing import Final, Generic, NamedTuple, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 import osmium
@@ -24,6 +33,7 @@ LARGEST_FILE: Final = 64 * 1024 * 1024
 # Maximum number of points in ways and relations, and of tagged nodes, ways and relations.
 MOST_POINTS: Final = 1_000_000
 MOST_ELEMENTS: Final = 200_000
+MOST_NODES: Final = 2_000_000  # Half a gigabyte of memory.
 #: OpenStreetMap's own limits; only handmade files exceed them.
 MOST_POINTS_OF_A_WAY: Final = 2_000
 LONGEST_TAG: Final = 255
@@ -39,6 +49,27 @@ _LINEAR_KEYS: Final = frozenset({"highway", "barrier", "waterway", "natural"})
 _SMALLEST_M: Final = 1.0
 # Margin around the elements of a map without bounds.
 _BEYOND_M: Final = 10.0
+#: Formats of osmium by the first bytes of a file; others are XML.
+_FORMATS: Final = {b"\x1f\x8b": "osm.gz", b"BZh": "osm.bz2", b"\xff\xe0\x04": "o5m"}
+_PBF: Final = b"OSMHeader"
+#: Files that are not maps, and what to do.
+_OTHERS: Final = {
+    b"PK\x03\x04": "a ZIP archive; unpack it first",
+    b"7z\xbc\xaf": "a 7z archive; unpack it first",
+    b"\xfd7zXZ": "an xz archive; unpack it first",
+    b"{": "JSON; ask Overpass for XML with [out:xml]",
+    b"<!DOCTYPE html": "a web page; download the map itself",
+    b"<html": "a web page; download the map itself",
+}
+_XML: Final[dict[str, Callable[[Path], BufferedIOBase]]] = {
+    "osm": lambda path: path.open("rb"),
+    "osm.gz": gzip.GzipFile,
+    "osm.bz2": bz2.BZ2File,
+}
+#: JOSM writes an element on a line; libosmium ignores the attribute "action".
+_DELETED: Final = re.compile(
+    rb"""<(node|way|relation)\b(?=[^>]*\bid=["'](-?\d+)["'])[^>]*\baction=["']delete["']"""
+)
 OPEN: Final = "its outline is not closed"
 _BROKEN_RINGS: Final = "its rings do not close or cross each other"
 # Tags of the kind of an area.
@@ -88,7 +119,7 @@ class Extract(NamedTuple):
 
 
 def read_osm(path: Path, around: MapSurroundings | None = None) -> Extract:
-    """Read an OpenStreetMap XML file, or its part `around` a position.
+    """Read an OpenStreetMap file, or its part `around` a position.
 
     Raises
     ------
@@ -96,22 +127,19 @@ def read_osm(path: Path, around: MapSurroundings | None = None) -> Extract:
         The file is unreadable, too large or empty.
     """
     try:
-        _check_file(path)
+        form = _format(path)
         found = _Found()
-        box = found.read(path)
-        if around is None:
-            degrees = found.bounds(box)
-        else:
-            middle = np.array([around.longitude_deg, around.latitude_deg])
-            reach = around.radius_m / metres_per_degree(around.latitude_deg)
-            degrees = np.array([middle - reach, middle + reach])
+        box = found.read(path, form)
+        degrees = found.bounds(box) if around is None else found.square(around)
         extract = found.extract(degrees)
         _check_size(extract)
     except WorldError as error:
         raise WorldError(f"{path}: {error}") from None
-    except (RuntimeError, OSError, ValueError, osmium.InvalidLocationError) as error:
+    except (
+        RuntimeError, OSError, ValueError, EOFError, zlib.error, osmium.InvalidLocationError,
+    ) as error:  # fmt: skip
         raise WorldError(
-            f"{path}: not a readable OpenStreetMap XML file ({printable(str(error))})"
+            f"{path}: not a readable OpenStreetMap file ({printable(str(error))})"
         ) from error
     return extract
 
@@ -120,34 +148,63 @@ class _Found:
     """Elements in degrees, collected while streaming the file."""
 
     def __init__(self) -> None:
+        self._places: dict[int, tuple[float, float]] = {}
         self._nodes: list[tuple[int, tuple[float, float], Tags]] = []
+        self._refs: dict[int, tuple[NDArray[np.int64], Tags]] = {}
         self._ways: dict[int, tuple[NDArray[np.float64], Tags]] = {}
         self._relations: list[tuple[int, dict[int, str], Tags]] = []
         self._broken: list[Unread] = []
         self._broken_ways: set[int] = set()
         self._points = 0
+        self._first_deg: float | None = None
 
-    def read(self, path: Path) -> osmium.osm.Box:
-        processor = osmium.FileProcessor(osmium.io.File(str(path), "osm")).with_locations()
+    def read(self, path: Path, form: str) -> osmium.osm.Box:
+        deleted = _deleted(path, form)
+        processor = osmium.FileProcessor(osmium.io.File(str(path), form))
         for element in processor:
-            tags = dict(element.tags) if len(element.tags) else {}
-            if isinstance(element, osmium.osm.Node):
-                self._node(element, tags)
-            elif isinstance(element, osmium.osm.Way):
-                self._way(element, tags)
-            elif isinstance(element, osmium.osm.Relation):
-                self._relation(element, tags)
-            if self._points > MOST_POINTS:
-                raise WorldError(f"too large (more than {MOST_POINTS:,} points); cut it smaller")
-            if len(self._nodes) + len(self._ways) + len(self._relations) > MOST_ELEMENTS:
-                raise WorldError(
-                    f"too large (more than {MOST_ELEMENTS:,} nodes and ways); cut it smaller"
-                )
+            if isinstance(element, osmium.osm.Changeset) or not element.visible:
+                continue
+            if (element.type_str(), element.id) not in deleted:
+                self._take(element, dict(element.tags) if len(element.tags) else {})
+        for number, (refs, tags) in self._refs.items():
+            self._way(number, refs, tags)
         return processor.header.box()
 
+    def _take(self, element: osmium.osm.OSMObject[Any], tags: Tags) -> None:
+        if isinstance(element, osmium.osm.Node):
+            self._node(element, tags)
+        elif isinstance(element, osmium.osm.Way):
+            refs = np.array([ref.ref for ref in element.nodes], dtype=np.int64)
+            self._refs[element.id] = refs, tags
+            self._points += refs.size
+        elif isinstance(element, osmium.osm.Relation):
+            self._relation(element, tags)
+        self._check_size()
+
+    def _check_size(self) -> None:
+        tagged = len(self._nodes) + len(self._refs) + len(self._relations)
+        if len(self._places) > MOST_NODES:
+            raise WorldError(f"too large (more than {MOST_NODES:,} nodes); cut it smaller")
+        if self._points > MOST_POINTS:
+            raise WorldError(f"too large (more than {MOST_POINTS:,} points); cut it smaller")
+        if tagged > MOST_ELEMENTS:
+            raise WorldError(
+                f"too large (more than {MOST_ELEMENTS:,} nodes and ways); cut it smaller"
+            )
+
     def _node(self, node: osmium.osm.Node, tags: Tags) -> None:
-        if tags and node.location.valid():
-            self._nodes.append((node.id, (node.location.lon, node.location.lat), tags))
+        location = node.location
+        if location.valid():
+            place = self._near(location.lon), location.lat
+            self._places[node.id] = place
+            if tags:
+                self._nodes.append((node.id, place, tags))
+
+    def _near(self, longitude_deg: float) -> float:
+        """Return a longitude on the same side of the antimeridian as the first node."""
+        if self._first_deg is None:
+            self._first_deg = longitude_deg
+        return longitude_deg + 360.0 * round((self._first_deg - longitude_deg) / 360.0)
 
     def _relation(self, relation: osmium.osm.Relation, tags: Tags) -> None:
         if tags.get("type") == "multipolygon":
@@ -155,32 +212,38 @@ class _Found:
             self._relations.append((relation.id, roles, tags))
             self._points += len(relation.members)
 
-    def _way(self, way: osmium.osm.Way, tags: Tags) -> None:
-        size = len(way.nodes)
-        self._points += size
-        places = [(ref.location.lon, ref.location.lat) for ref in way.nodes if ref.location.valid()]
-        if size > MOST_POINTS_OF_A_WAY:
+    def _way(self, number: int, refs: NDArray[np.int64], tags: Tags) -> None:
+        places = [self._places[ref] for ref in refs.tolist() if ref in self._places]
+        if refs.size > MOST_POINTS_OF_A_WAY:
             reason = f"it has more than {MOST_POINTS_OF_A_WAY} points"
-        elif len(places) < size:
+        elif len(places) < refs.size:
             # A way without a corner would have another shape.
             reason = "a point is missing"
-        elif size < 2:
+        elif refs.size < 2:
             reason = "it has fewer than two points"
         else:
-            self._ways.setdefault(way.id, (np.array(places), tags))
+            self._ways[number] = np.array(places), tags
             return
-        self._broken_ways.add(way.id)
+        self._broken_ways.add(number)
         if tags:
             self._broken.append(Unread(tags, reason))
+
+    def square(self, around: MapSurroundings) -> NDArray[np.float64]:
+        """Return [[lon_min, lat_min], [lon_max, lat_max]] about a position."""
+        middle = np.array([self._near(around.longitude_deg), around.latitude_deg])
+        reach = around.radius_m / metres_per_degree(around.latitude_deg)
+        return np.array([middle - reach, middle + reach])
 
     def bounds(self, box: osmium.osm.Box) -> NDArray[np.float64]:
         """Return [[lon_min, lat_min], [lon_max, lat_max]], from the header if present."""
         if box.valid():
-            return np.array(
-                [[corner.lon, corner.lat] for corner in (box.bottom_left, box.top_right)]
-            )
+            corners = [
+                (self._near(corner.lon), corner.lat) for corner in (box.bottom_left, box.top_right)
+            ]
+            return np.sort(np.array(corners), axis=0)
+        drawn = {ref for _, roles, _ in self._relations for ref in roles}
         places = [np.array([xy]) for _, xy, _ in self._nodes] + [
-            points for points, tags in self._ways.values() if tags
+            points for number, (points, tags) in self._ways.items() if tags or number in drawn
         ]
         if not places:
             raise WorldError("the file contains no located nodes or ways")
@@ -201,7 +264,7 @@ class _Found:
         return Extract(
             bounds=(x_min, y_min, x_max, y_max),
             latitude_deg=float(origin[1]),
-            longitude_deg=float(origin[0]),
+            longitude_deg=math.remainder(float(origin[0]), 360.0),
             nodes=[
                 Element(number, (np.array(xy) - origin) * scale, tags)
                 for number, xy, tags in self._nodes
@@ -304,24 +367,29 @@ def only_areas(geometry: BaseGeometry) -> BaseGeometry:
     return parts[0] if len(parts) == 1 else MultiPolygon(parts)
 
 
-def _check_file(path: Path) -> None:
-    """Reject files that are too large or define entities, before parsing."""
+def _format(path: Path) -> str:
+    """Return the format of a file for osmium, by its content; reject other and large files."""
     size = path.stat().st_size
     if size > LARGEST_FILE:
         raise WorldError(
             f"too large ({size / 1e6:.0f} MB > maximum {LARGEST_FILE / 1e6:.0f} MB); cut it smaller"
         )
-    data = path.read_bytes()
-    # UTF-16 and UTF-32, in which the words below cannot be found, contain many zero bytes.
-    if b"\0" in data:
-        raise WorldError(
-            "not a readable OpenStreetMap XML file (contains zero bytes; must be UTF-8)"
-        )
-    for word in (b"<!DOCTYPE", b"<!ENTITY"):
-        if word in data:
-            raise WorldError(
-                f"contains {word.decode()}; maps with document types or entities are unsupported"
-            )
+    with path.open("rb") as file:
+        start = file.read(64)
+    if other := next((what for mark, what in _OTHERS.items() if start.startswith(mark)), None):
+        raise WorldError(f"not an OpenStreetMap file but {other}")
+    found = next((form for mark, form in _FORMATS.items() if start.startswith(mark)), "osm")
+    return "pbf" if _PBF in start else found
+
+
+def _deleted(path: Path, form: str) -> set[tuple[str, int]]:
+    """Return the elements that JOSM marks as deleted, by the letter of their type and number."""
+    found: set[tuple[str, int]] = set()
+    if form in _XML:
+        with _XML[form](path) as file:
+            for line in file:
+                found |= {(kind[:1].decode(), int(n)) for kind, n in _DELETED.findall(line)}
+    return found
 
 
 def _check_size(extract: Extract) -> None:

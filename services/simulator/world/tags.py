@@ -50,14 +50,17 @@ class Meanings:
     roof_materials: dict[str, Rgb]
 
 
+_FEET: Final = ("ft", "'")
+#: Values of "building" without a building.
+_ABSENT: Final = frozenset({"no", "proposed", "demolished", "razed"})
 MEANINGS: Final = table("openstreetmap", Meanings)
 
 
 def kinds_of(tags: Tags) -> list[Kind]:
     """Return the kinds of objects that a way or relation represents, usually one or none."""
-    if tags.get("building", "no") != "no":
+    if tags.get("building", "no") not in _ABSENT:
         return ["building"]
-    if tags.get("building:part", "no") != "no":
+    if tags.get("building:part", "no") not in _ABSENT:
         return ["building part"]
     found: list[Kind] = []
     if (
@@ -113,12 +116,14 @@ def is_hidden(tags: Tags) -> bool:
 
 
 def metres(text: str | None) -> float | None:
-    """Parse an OpenStreetMap length ("12", "12.5 m", "12,5", "40'" in feet); None if invalid."""
-    found = re.fullmatch(r"\s*(\d+(?:[.,]\d+)?)\s*(m|ft|')?\s*", text or "")
-    if found is None:
+    """Parse an OpenStreetMap length (12, 12.5 m, 12,5, 40 ft, 12'6"); None if invalid."""
+    found = re.fullmatch(
+        r"\s*(\d+(?:[.,]\d+)?)\s*(m|ft|')?\s*(?:(\d+)\s*(?:\"|in))?\s*", text or ""
+    )
+    if found is None or (found[3] and found[2] not in _FEET):
         return None
-    value = float(found[1].replace(",", "."))
-    return value * 0.3048 if found[2] in {"ft", "'"} else value
+    value = float(found[1].replace(",", ".")) + float(found[3] or 0.0) / 12.0
+    return value * 0.3048 if found[2] in _FEET else value
 
 
 def colour(text: str | None) -> Rgb | None:

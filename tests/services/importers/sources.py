@@ -5,6 +5,7 @@ import json
 import math
 import shutil
 from collections.abc import Callable
+from datetime import datetime
 from functools import wraps
 from hashlib import sha256
 from pathlib import Path
@@ -148,6 +149,26 @@ def write_tub(
 
 
 @made_once
+def first_tub(folder: Path, rate_hz: float = 20.0, *, time: str = "milliseconds") -> Path:
+    """Write a tub of version 1, with a date, milliseconds or no time in each record."""
+    folder.mkdir(parents=True)
+    inputs = ["cam/image_array", "user/angle", "user/throttle", "user/mode"]
+    meta = {"inputs": inputs, "types": ["image_array", "float", "float", "str"]}
+    (folder / "meta.json").write_text(json.dumps(meta))
+    for index, moment in enumerate(drive(rate_hz), 1):
+        name = f"{index}_cam-image_array_.jpg"
+        (folder / name).write_bytes(encode_jpeg(moment.image))
+        values = [name, *KEYS_OF_CAR[moment.atom], "user"]
+        times = {
+            "milliseconds": round(1000 * (moment.time_s - START_S)),
+            "timestamp": str(datetime.fromtimestamp(moment.time_s)),
+        }
+        record = dict(zip(inputs, values, strict=True)) | {time: times.get(time)}
+        (folder / f"record_{index}.json").write_text(json.dumps(record))
+    return folder
+
+
+@made_once
 def csv_folder(
     folder: Path, rate_hz: float = 20.0, *, poses: bool = True, png: bool = False
 ) -> Path:
@@ -261,7 +282,7 @@ def mp4(path: Path, images: list[NDArray[np.uint8]], fps: int) -> None:
 @made_once
 def rosbag2(
     folder: Path, *, sqlite: bool = False, raw: str | None = None, stamped: bool = False, odometry: bool = True,
-    command: bool = True, packed: bool = False, hundredths: int | None = None,
+    command: bool = True, packed: bool = False, hundredths: int | None = None, suffix: str = ".jpg",
 ) -> Path:  # fmt: skip
     """Write a bag: images at 20 Hz, commands at 10 Hz beside them, odometry at 50 Hz, the camera's calibration."""
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer  # noqa: PLC0415
@@ -278,7 +299,12 @@ def rosbag2(
         )
     #: By topic: the type, every so many hundredths of a second, beginning when, and what.
     said: dict[str, tuple[str, int, int, Callable[[Moment], dict[str, Any]]]] = {
-        "/camera/image": ("sensor_msgs/msg/CompressedImage", 5, 0, _compressed),
+        "/camera/image": (
+            "sensor_msgs/msg/CompressedImage",
+            5,
+            0,
+            lambda moment: _compressed(moment, suffix),
+        ),
         "/camera/camera_info": ("sensor_msgs/msg/CameraInfo", 10**9, 0, _info),
         "/cmd_vel": ("geometry_msgs/msg/Twist", 10, 3, _twist),
         "/odom": ("nav_msgs/msg/Odometry", 2, 0, _odometry),
@@ -308,8 +334,15 @@ def rosbag2(
     return folder
 
 
-def _compressed(moment: Moment) -> dict[str, Any]:
-    return {"format": "jpeg", "data": np.frombuffer(encode_jpeg(moment.image), np.uint8)}
+def _compressed(moment: Moment, suffix: str) -> dict[str, Any]:
+    """Return an image as a file of a format, or as ROS compresses depth."""
+    data = encode_jpeg(moment.image)
+    if suffix == "depth":
+        depth_mm = cv2.cvtColor(moment.image, cv2.COLOR_RGB2GRAY).astype(np.uint16) * 16
+        data = bytes(12) + cv2.imencode(".png", depth_mm)[1].tobytes()
+    elif suffix != ".jpg":
+        data = cv2.imencode(suffix, moment.image[..., ::-1])[1].tobytes()
+    return {"format": "jpeg", "data": np.frombuffer(data, np.uint8)}
 
 
 def _raw(moment: Moment, encoding: str) -> dict[str, Any]:
@@ -335,7 +368,7 @@ def _odometry(moment: Moment) -> dict[str, Any]:
 
 
 def _info(_moment: Moment) -> dict[str, Any]:
-    return {"height": 48, "width": 64, "k": [45.0, 0.0, 32.0, 0.0, 45.0, 24.0, 0.0, 0.0, 1.0]}
+    return {"height": 48, "width": 64, "k": [45.0, 0.0, 32.0, 0.0, 45.0, 20.0, 0.0, 0.0, 1.0]}
 
 
 def in_encoding(pixels: NDArray[np.uint8], encoding: str) -> NDArray[np.uint8]:
@@ -343,7 +376,7 @@ def in_encoding(pixels: NDArray[np.uint8], encoding: str) -> NDArray[np.uint8]:
     if encoding == "yuv422":
         y, u, v = np.moveaxis(cv2.cvtColor(pixels, cv2.COLOR_RGB2YUV), -1, 0)
         packed = np.stack([u[:, ::2], y[:, ::2], v[:, ::2], y[:, 1::2]], axis=-1)
-    elif encoding == "mono8":
+    elif encoding in ("mono8", "32FC1"):
         packed = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
     else:
         packed = pixels if encoding == "rgb8" else pixels[..., ::-1]

@@ -1,13 +1,16 @@
 """Every format gives the drive that was put in: its views, its movements, where it went."""
 
+import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
-from services.importers.drive import Tally
+from services.importers import images
+from services.importers.drive import ImportFailure, Tally
 from services.importers.job import ImportJob, ImportReport
 from services.importers.run import run
 from services.recordings.dataset import Teacher
@@ -74,6 +77,7 @@ BAGS: dict[str, Callable[[Path], Path]] = {
     "rgb8": partial(sources.rosbag2, raw="rgb8"),
     "bgr8": partial(sources.rosbag2, raw="bgr8"),
     "yuv422": partial(sources.rosbag2, raw="yuv422"),
+    "webp": partial(sources.rosbag2, suffix=".webp"),
 }
 
 
@@ -98,6 +102,53 @@ def test_bag_file_is_imported_when_camera_is_grey(suffix: str, tmp_path: Path) -
     assert report.ticks == len(MADE)
     pixels = decode_image(bytes(episode_of(report).images[0]))
     assert np.abs(pixels[..., 0].astype(int) - pixels[..., 2]).max() <= 2
+
+
+def test_import_names_the_format_of_images(tmp_path: Path) -> None:
+    for how, named in (
+        ({"suffix": ".webp"}, f"{len(MADE)} images of the format WebP are converted to JPEG"),
+        ({"raw": "bgr8"}, f"{len(MADE)} images of the format bgr8 are converted to JPEG"),
+        (
+            {"suffix": "depth"},
+            "images show depth (compressedDepth); choose the colour images with --camera",
+        ),
+    ):
+        bag = sources.rosbag2(tmp_path / named[:40] / "bag", **how)
+        assert named in imported(bag, "rosbag2", tmp_path / "out")[1].lines()
+    bag = sources.rosbag2(tmp_path / "bag", raw="32FC1")
+    with pytest.raises(ImportFailure, match="images have the unsupported encoding 32FC1"):
+        imported(bag, "rosbag2", tmp_path / "out")
+
+
+@pytest.mark.parametrize("rotate_deg", [90, 180, 270])
+def test_image_stands_upright_when_it_is_rotated(rotate_deg: int, tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set", 10.0, png=True)
+    for file in folder.glob("*.png"):
+        lying = np.rot90(cv2.imread(str(file)), rotate_deg // 90)
+        cv2.imwrite(str(file), lying)
+    report, _ = imported(folder, "folder", tmp_path / "out", rotate_deg=rotate_deg)
+    check_drive(episode_of(report))
+
+
+def test_large_image_is_shrunk_when_it_is_portrait(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(images, "_MOST", (64, 48))
+    folder = sources.csv_folder(tmp_path / "set", 10.0)
+    lying = episode_of(imported(folder, "folder", tmp_path / "lying")[0])
+    assert decode_image(bytes(lying.images[0])).shape == (48, 64, 3)
+    rotated = episode_of(imported(folder, "folder", tmp_path / "out", rotate_deg=90)[0])
+    assert decode_image(bytes(rotated.images[0])).shape == (48, 36, 3)
+
+
+def test_calibration_is_rotated_with_its_images(tmp_path: Path) -> None:
+    report, _ = imported(
+        sources.rosbag2(tmp_path / "bag"), "rosbag2", tmp_path / "out", rotate_deg=90
+    )
+    camera = episode_of(report).camera
+    # The principal point was 32 of 64 columns and 20 of 48 rows: the rows become the columns.
+    assert (camera.width, camera.height, camera.focal_px) == (48, 64, pytest.approx(45.0))
+    assert (camera.centre_x_px, camera.centre_y_px) == pytest.approx((28.0, 32.0))
 
 
 def test_a_bag_without_commands_has_those_of_its_odometry(tmp_path: Path) -> None:
@@ -129,6 +180,35 @@ def test_a_lerobot_data_set_is_imported(version: str, video: bool, tmp_path: Pat
     assert not [line for line in tally.lines() if "announces" in line]
     report, _ = imported(dataset, "lerobot", tmp_path / "one", episodes=("1",))
     assert [Path(file).name[:2] for file in report.files] == ["1-"]
+
+
+LEKIWI = ["arm_wrist.pos", "x.vel", "y.vel", "theta.vel"]
+
+
+@pytest.mark.parametrize(
+    ("names", "fields"),
+    [
+        ([LEKIWI], {}),
+        ({"motors": LEKIWI}, {}),
+        ({"arm": LEKIWI[:1], "base": LEKIWI[1:]}, {}),
+        ({name: index for index, name in enumerate(LEKIWI)}, {}),
+        (["arm", "linear.x", "linear.y", "angular.z"], {"turn_rate": float(np.radians(1.0))}),
+        (["arm", "base_vx", "base_vy", "base_omega"], {"turn_rate": float(np.radians(1.0))}),
+        ([["arm", "go", "side", "turn"]], {"velocity": "go,turn"}),
+        (None, {"velocity": "1,3"}),
+    ],
+    ids=["nested", "motors", "parts", "numbered", "twist", "base", "named", "none"],
+)
+def test_velocities_are_found_by_their_names(
+    names: object, fields: dict[str, object], tmp_path: Path
+) -> None:
+    dataset = sources.lerobot(tmp_path / "set", video=False, episodes=1)
+    info = json.loads((dataset / "meta/info.json").read_text())
+    info["features"]["action"]["names"] = names
+    (dataset / "meta/info.json").write_text(json.dumps(info))
+    if "velocity" in fields:
+        fields = fields | {"turn_rate": float(np.radians(1.0))}
+    check_drive(episode_of(imported(dataset, "lerobot", tmp_path / "out", **fields)[0]))
 
 
 def test_dataset_counts_sideways_when_velocities_are_named(
@@ -188,6 +268,66 @@ def test_a_tub_with_the_times_of_its_copying_wants_a_rate(tmp_path: Path) -> Non
     check_drive(episode_of(imported(tub, "donkeycar", tmp_path / "out", rate_hz=20.0)[0]))
 
 
+@pytest.mark.parametrize("time", ["milliseconds", "timestamp"])
+def test_tub_of_version_1_is_imported(time: str, tmp_path: Path) -> None:
+    tub = sources.first_tub(tmp_path / "tub", time=time)
+    (tub / "exclude.json").write_text("[1, 2]")
+    _, tally = imported(tub, "donkeycar", tmp_path / "out", reckon=False)
+    (tub / "exclude.json").unlink()
+    assert "2 records were deleted by their owner" in tally.lines()
+    check_drive(episode_of(imported(tub, "donkeycar", tmp_path / "whole")[0]))
+
+
+def test_tub_wants_a_rate_when_it_has_no_times(tmp_path: Path) -> None:
+    tub = sources.first_tub(tmp_path / "tub", time="none")
+    with pytest.raises(ImportFailure, match="if it has no times, give the frame rate with --rate"):
+        imported(tub, "donkeycar", tmp_path / "out")
+    check_drive(episode_of(imported(tub, "donkeycar", tmp_path / "out", rate_hz=20.0)[0]))
+
+
+def test_tub_has_two_drives_when_it_was_appended(tmp_path: Path) -> None:
+    tub = sources.first_tub(tmp_path / "tub")
+    for index in range(41, FRAMES + 1):
+        file = tub / f"record_{index}.json"
+        record = json.loads(file.read_text())
+        file.write_text(json.dumps(record | {"milliseconds": record["milliseconds"] - 1950}))
+    report, _ = imported(tub, "donkeycar", tmp_path / "out")
+    assert len(report.files) == 2
+    assert report.ticks == len(MADE)
+
+
+def test_each_tub_of_a_folder_is_a_drive(tmp_path: Path) -> None:
+    car = tmp_path / "mycar"
+    check = {"data/tub_1_18-05-05": sources.first_tub, "data/new": sources.donkeycar}
+    for name, write in check.items():
+        write(car / name)
+    (car / "data/broken").mkdir()
+    (car / "data/broken/manifest.json").write_text("[]")
+    report, tally = imported(car, "donkeycar", tmp_path / "out")
+    assert [Path(file).name[:16] for file in report.files] == [
+        "data-new-" + Path(report.files[0]).name[9:16],
+        "data-tub-1-18-05",
+    ]
+    for file in report.files:
+        check_drive(episode_of(file))
+    (broken,) = [line for line in tally.lines() if "broken" in line]
+    assert "the manifest of a tub of version 2 has five lines" in broken
+
+
+def test_fields_of_a_tub_are_those_of_its_manifest(tmp_path: Path) -> None:
+    tub = sources.donkeycar(tmp_path / "tub")
+    for file in tub.glob("*.*"):
+        text = file.read_text().replace("user/angle", "steering").replace("cam/image_array", "eye")
+        file.write_text(text.replace("user/throttle", "throttle"))
+    check_drive(episode_of(imported(tub, "donkeycar", tmp_path / "out")[0]))
+    for file in tub.glob("*.*"):
+        file.write_text(file.read_text().replace("steering", "wheel"))
+    with pytest.raises(ImportFailure, match="steering: 0 fields found; choose from eye, wheel, th"):
+        imported(tub, "donkeycar", tmp_path / "out")
+    named = imported(tub, "donkeycar", tmp_path / "named", velocity="wheel, throttle")
+    check_drive(episode_of(named[0]))
+
+
 @pytest.mark.parametrize(("rate_hz", "png"), [(20.0, True), (30.0, False)])
 def test_a_folder_is_imported(rate_hz: float, png: bool, tmp_path: Path) -> None:
     report, _ = imported(
@@ -195,6 +335,22 @@ def test_a_folder_is_imported(rate_hz: float, png: bool, tmp_path: Path) -> None
     )
     assert report.odometry == "of the source"
     check_drive(episode_of(report), blurred=2)
+
+
+def test_folder_is_mended_when_clock_and_odometry_are_reset(tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set")
+    head, *lines = (folder / "drive.csv").read_text().splitlines()
+    for at, line in enumerate(lines[30:], 30):
+        time_s, image, linear, angular, x, *rest = line.split(",")
+        # The robot drives straight ahead until then.
+        reset = [str(float(time_s) - 1.0), image, linear, angular, str(float(x) - 3.0), *rest]
+        lines[at] = ",".join(reset)
+    (folder / "drive.csv").write_text("\n".join([head, *lines]))
+    report, tally = imported(folder, "folder", tmp_path / "out")
+    check_drive(episode_of(report), within_m=0.06)
+    text = "\n".join(tally.lines())
+    assert "the clock is set back by 1.0 s, 1.5 s after" in text
+    assert "the drive: the odometry jumps by 2.90 m and 0 degrees at 1.5 s (joined" in text
 
 
 def test_a_slow_camera_shows_frames_twice(tmp_path: Path) -> None:
@@ -228,6 +384,25 @@ FORMATS: dict[str, Callable[[Path], Path]] = {
     "donkeycar": sources.donkeycar,
     "folder": sources.csv_folder,
 }
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_refusal_names_the_command_for_another_format(form: str, tmp_path: Path) -> None:
+    source = FORMATS[form](tmp_path / "source")
+    other = "folder" if form != "folder" else "lerobot"
+    with pytest.raises(
+        ImportFailure, match=f"not of the format {other}; run: smal import {form} /"
+    ):
+        imported(source, other, tmp_path / "out")
+
+
+def test_refusal_names_the_files_that_are_there(tmp_path: Path) -> None:
+    for name in ("a.jpg", "b.jpg", "c.txt"):
+        (tmp_path / name).touch()
+    with pytest.raises(
+        ImportFailure, match=r"CSV files to choose from; files there: 2 .jpg, 1 .txt"
+    ):
+        imported(tmp_path, "folder", tmp_path.parent / "out")
 
 
 @pytest.mark.parametrize("form", ["donkeycar", "rosbag2"])

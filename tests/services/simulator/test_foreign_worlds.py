@@ -49,7 +49,7 @@ def test_world_is_refused_when_it_takes_too_much_time(
 def test_world_is_refused_in_one_line_when_it_is_of_no_use(town: Path) -> None:
     town.write_text("<osm>")
     with pytest.raises(
-        WorldError, match=r"\A[^\n]*town.osm: not a readable OpenStreetMap XML file[^\n]*\Z"
+        WorldError, match=r"\A[^\n]*town.osm: not a readable OpenStreetMap file[^\n]*\Z"
     ):
         load_foreign_world(town)
 

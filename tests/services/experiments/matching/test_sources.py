@@ -17,6 +17,7 @@ from services.experiments.matching.sources import natural_key, open_source, read
 from services.experiments.matching.traverse import describe_frames
 from services.kit.errors import JobError, UsageError
 from smal.features import FeatureSettings
+from tests.services.kit.test_pixels import with_orientation
 
 FEATURES = FeatureSettings.of(["color"])
 LOSSLESS = (".png", ".bmp", ".tif", ".webp", ".ppm", ".jp2", ".ras")
@@ -82,6 +83,14 @@ def test_grey_alpha_and_16_bits(tmp_path: Path) -> None:
     (tmp_path / "alpha.png").write_bytes(cv2.imencode(".png", transparent)[1].tobytes())
     read = read_color(tmp_path / "alpha.png")
     np.testing.assert_array_equal(read, image)
+
+
+def test_traverse_stands_upright_by_its_orientation(tmp_path: Path) -> None:
+    lying = np.ascontiguousarray(np.rot90(picture()))
+    (tmp_path / "phone.jpg").write_bytes(with_orientation(encoded(lying, ".jpg"), 6))
+    upright = read_color(tmp_path / "phone.jpg")
+    assert upright.shape == (60, 80, 3)
+    assert np.abs(upright.astype(int) - picture()).mean() < 3.0
 
 
 def test_depth_is_16_bit_and_of_one_channel(tmp_path: Path) -> None:

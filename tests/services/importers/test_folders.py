@@ -1,0 +1,278 @@
+"""Folders of images or of a video give the drive that was put in, for tables of any software."""
+
+import csv
+import io
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from unicodedata import normalize
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from services.importers.drive import ImportFailure, Tally
+from services.importers.ticks import motion_along
+from services.importers.trajectory import track_of
+from tests.services.importers import sources
+from tests.services.importers.test_formats import check_drive, episode_of, imported
+
+#: A camera looks along z, with x to the right and y down: its axes in those of the robot.
+OPTICAL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+#: Somebody stuck the markers of the tracking system on the robot as they came.
+ANYHOW = Rotation.from_euler("zyx", [37.0, 10.0, 160.0], degrees=True)
+
+
+def write_images(folder: Path, moments: list[sources.Moment], names: list[str]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for moment, name in zip(moments, names, strict=True):
+        (folder / name).write_bytes(cv2.imencode(".png", moment.image[..., ::-1])[1].tobytes())
+
+
+def placed(moment: sources.Moment, mount: Rotation) -> tuple[np.ndarray, Rotation]:
+    """Return where the body is in space, and how it is turned."""
+    x, y, heading = moment.pose
+    return np.array([x, y, 0.3]), Rotation.from_euler("z", heading) * mount
+
+
+def tum(folder: Path, mount: Rotation) -> Path:
+    moments = sources.drive(20.0)
+    names = [f"{moment.time_s:.6f}.png" for moment in moments]
+    write_images(folder / "rgb", moments, names)
+    lines = [f"{moment.time_s:.6f} rgb/{name}" for moment, name in zip(moments, names, strict=True)]
+    (folder / "rgb.txt").write_text("\n".join(["# color images", "# timestamp filename", *lines]))
+    (folder / "accelerometer.txt").write_text("# timestamp ax ay az\n1 0 0 9.8\n")
+    poses = []
+    for moment in sources.drive(100.0):
+        place, turn = placed(moment, mount)
+        poses.append(" ".join(map(str, [moment.time_s, *place, *turn.as_quat()])))
+    (folder / "groundtruth.txt").write_text("\n".join(["# ground truth trajectory", *poses]))
+    return folder
+
+
+def kitti(folder: Path, poses: str) -> Path:
+    """Write a sequence: poses of the first camera from its first pose, y down and z ahead."""
+    moments = sources.drive(20.0)
+    write_images(folder / "image_2", moments, [f"{row:06d}.png" for row in range(len(moments))])
+    first = moments[0].time_s
+    (folder / "times.txt").write_text("\n".join(f"{one.time_s - first:e}" for one in moments))
+    lines = []
+    for moment in moments:
+        place, turn = placed(moment, OPTICAL)
+        matrix = np.column_stack([(OPTICAL.inv() * turn).as_matrix(), OPTICAL.inv().apply(place)])
+        lines.append(" ".join(map(str, matrix.ravel())))
+    (folder / poses).resolve().parent.mkdir(exist_ok=True)
+    (folder / poses).write_text("\n".join(lines))
+    return folder
+
+
+def rgb_folder(folder: Path) -> Path:
+    """Write images whose names are their times, and poses of any name."""
+    tum(folder, ANYHOW)
+    (folder / "rgb.txt").unlink()
+    (folder / "groundtruth.txt").rename(folder / "trajectory.TXT")
+    (folder / "readme.txt").write_text("these are the eight words of a readme")
+    return folder
+
+
+def bare_euroc(folder: Path) -> Path:
+    """Write the sensors without the folder above them, poses of another name, and inertia."""
+    for sensor in (euroc(folder) / "mav0").iterdir():
+        named = "mocap0" if "truth" in sensor.name else sensor.name
+        sensor.rename(folder / named)
+    (folder / "mav0").rmdir()
+    (folder / "imu0").mkdir()
+    (folder / "imu0/data.csv").write_text("#timestamp [ns],w,w,w,a,a,a\n1,0,0,0,0,0,9.8\n")
+    return folder
+
+
+def kitti_sequences(folder: Path) -> Path:
+    for number in ("00", "11"):
+        kitti(folder / "sequences" / number, f"../../poses_{number}.txt")
+    (folder / "poses").mkdir()
+    (folder / "poses_00.txt").rename(folder / "poses/00.txt")
+    (folder / "poses_11.txt").unlink()
+    return folder
+
+
+def kitti_raw(folder: Path) -> Path:
+    """Write raw data: positions by satellite, each in a file, and dates."""
+    moments = sources.drive(20.0)
+    names = [f"{row:010d}" for row in range(len(moments))]
+    write_images(folder / "image_02/data", moments, [f"{name}.png" for name in names])
+    (folder / "oxts/data").mkdir(parents=True)
+    dates = [str(np.datetime64(round(one.time_s * 1e9), "ns")).replace("T", " ") for one in moments]
+    for sensor in ("image_02", "oxts"):
+        (folder / sensor / "timestamps.txt").write_text("\n".join(dates))
+    for moment, name in zip(moments, names, strict=True):
+        x, y, heading = moment.pose
+        north = 49.0 + np.degrees(y / 6_378_137.0)
+        east = 8.4 + np.degrees(x / 6_378_137.0 / np.cos(np.radians(49.0)))
+        row = [f"{north:.12f}", f"{east:.12f}", 116.4, 0.02, -0.01, heading, *[0.0] * 24]
+        (folder / f"oxts/data/{name}.txt").write_text(" ".join(map(str, row)))
+    return folder
+
+
+def euroc(folder: Path) -> Path:
+    moments = sources.drive(20.0)
+    stamps = [round(moment.time_s * 1e9) for moment in moments]
+    camera = folder / "mav0/cam0"
+    write_images(camera / "data", moments, [f"{stamp}.png" for stamp in stamps])
+    lines = [f"{stamp},{stamp}.png" for stamp in stamps]
+    (camera / "data.csv").write_text("\r\n".join(["#timestamp [ns],filename", *lines]))
+    truth = folder / "mav0/state_groundtruth_estimate0"
+    truth.mkdir()
+    rows = ["#timestamp, p_RS_R_x [m], y, z, q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], v_RS_R_x"]
+    for moment in moments:
+        place, turn = placed(moment, ANYHOW)
+        x, y, z, w = turn.as_quat()
+        numbers = [round(moment.time_s * 1e9), *place, w, x, y, z, 0.0]
+        rows.append(",".join(map(str, numbers)))
+    (truth / "data.csv").write_text("\n".join(rows))
+    return folder
+
+
+LAYOUTS: dict[str, Callable[[Path], Path]] = {
+    "tum": lambda path: tum(path, OPTICAL),
+    "tum-markers": lambda path: tum(path, ANYHOW),
+    "tum-names": rgb_folder,
+    "euroc-bare": bare_euroc,
+    "kitti": lambda path: kitti(path, "00.txt"),
+    "kitti-sequences": kitti_sequences,
+    "kitti-raw": kitti_raw,
+    "euroc": euroc,
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_layout_of_a_data_set_is_imported(layout: str, tmp_path: Path) -> None:
+    report, tally = imported(LAYOUTS[layout](tmp_path / "set"), "folder", tmp_path / "out")
+    assert report.odometry == "of the source"
+    assert "velocities are computed from poses" in tally.lines()
+    check_drive(episode_of(report), blurred=4)
+    assert report.speed == pytest.approx(2.0, rel=0.02)
+    assert report.turn_rate == pytest.approx(0.8, rel=0.02)
+
+
+def test_layout_is_refused_when_it_has_no_poses(tmp_path: Path) -> None:
+    folder = tum(tmp_path / "set", OPTICAL)
+    (folder / "groundtruth.txt").unlink()
+    with pytest.raises(
+        ImportFailure, match=r"0 files of poses with 8 numbers a line among accelerometer\.txt, rgb"
+    ):
+        imported(folder, "folder", tmp_path / "out")
+
+
+def test_heading_is_the_movement_when_a_pose_never_turns() -> None:
+    angle = np.linspace(0.0, np.pi, 200)
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (200, 1))
+    places = np.column_stack([np.sin(angle), 1.0 - np.cos(angle), 0.0 * angle])
+    tally = Tally()
+    track = track_of(np.column_stack([angle, places, still]), tally)
+    assert np.abs(track[:, 3] - angle).max() < 0.1
+    motion = motion_along(track)
+    assert motion[:, 1] == pytest.approx(1.0, abs=0.1)
+    assert "orientations do not turn with the robot" in tally.lines()[0]
+
+
+def written_table(
+    folder: Path, delimiter: str, *, comma: bool, coding: str, lead: str = ""
+) -> None:
+    """Write the table of a folder anew, as a program for spreadsheets does."""
+    rows = list(csv.reader((folder / "drive.csv").read_text().splitlines()))
+    for row in rows[1:]:
+        row[:] = [cell.replace(".", ",") if comma and ".png" not in cell else cell for cell in row]
+    text = io.StringIO(newline="")
+    csv.writer(text, delimiter=delimiter, lineterminator="\r\n").writerows(rows)
+    (folder / "drive.csv").write_bytes((lead + text.getvalue()).encode(coding))
+
+
+TABLES = {
+    "excel": {"delimiter": ";", "comma": True, "coding": "utf-8-sig"},
+    "excel-sep": {"delimiter": ";", "comma": True, "coding": "utf-8", "lead": "sep=;\r\n"},
+    "windows": {"delimiter": ",", "comma": False, "coding": "cp1252"},
+    "quoted": {"delimiter": ",", "comma": True, "coding": "utf-8"},
+    "tabs": {"delimiter": "\t", "comma": False, "coding": "utf-8-sig"},
+}
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_table_of_a_spreadsheet_is_imported(kind: str, tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set", png=True)
+    for file in folder.glob("*.png"):
+        file.rename(folder / normalize("NFD", f"Bild ä{file.stem}.PNG"))
+    text = (folder / "drive.csv").read_text()
+    named = "".join(
+        line.replace(f",{row:04d}.png", f",Bild ä{row:04d}.png")
+        for row, line in enumerate(text.splitlines(keepends=True), -1)
+    )
+    (folder / "drive.csv").write_text(named)
+    written_table(folder, **TABLES[kind])
+    report, tally = imported(folder, "folder", tmp_path / "out")
+    check_drive(episode_of(report), blurred=2)
+    assert "images cannot be read" not in tally.counts
+
+
+def test_images_of_16_bits_and_four_channels_are_read(tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set", 10.0, png=True)
+    for number, file in enumerate(sorted(folder.glob("*.png"))):
+        image = cv2.imread(str(file))
+        deep = image.astype(np.uint16) * 257
+        clear = np.dstack([image, np.full(image.shape[:2], 9, np.uint8)])
+        cv2.imwrite(str(file), (deep, clear)[number % 2])
+    check_drive(episode_of(imported(folder, "folder", tmp_path / "out")[0]))
+
+
+def test_poses_give_velocities_when_a_table_has_none(tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set")
+    text = (folder / "drive.csv").read_text()
+    (folder / "drive.csv").write_text(text.replace("linear_m_s,angular_rad_s", "a,b"))
+    check_drive(episode_of(imported(folder, "folder", tmp_path / "out")[0]), blurred=3)
+
+
+def film(folder: Path, name: str = "drive.mp4") -> Path:
+    """Write a video of the drive, and its table without images."""
+    sources.csv_folder(folder)
+    for file in folder.glob("*.jpg"):
+        file.unlink()
+    sources.mp4(folder / name, [moment.image for moment in sources.drive(20.0)], 20)
+    text = (folder / "drive.csv").read_text()
+    (folder / "drive.csv").write_text(text.replace("time_s,image", "time_s,note"))
+    return folder
+
+
+@pytest.mark.parametrize("name", ["drive.mp4", "drive.mkv"])
+def test_video_with_a_table_is_imported(name: str, tmp_path: Path) -> None:
+    report, _ = imported(film(tmp_path / "set", name), "folder", tmp_path / "out")
+    check_drive(episode_of(report), blurred=3)
+
+
+def test_video_begins_at_the_first_row_of_its_table(tmp_path: Path) -> None:
+    folder = film(tmp_path / "set")
+    lines = (folder / "drive.csv").read_text().splitlines()
+    (folder / "drive.csv").write_text("\n".join([lines[0], *lines[1::2]]))
+    report, tally = imported(folder, "folder", tmp_path / "out")
+    assert "the video drive.mp4 begins at the first row" in tally.lines()
+    check_drive(episode_of(report), blurred=3)
+
+
+def test_video_of_a_phone_stands_upright(tmp_path: Path) -> None:
+    folder = film(tmp_path / "set")
+    lying = [np.rot90(moment.image) for moment in sources.drive(20.0)]
+    sources.mp4(folder / "drive.mp4", [np.ascontiguousarray(one) for one in lying], 20)
+    data = (folder / "drive.mp4").read_bytes()
+    straight = struct.pack(">9i", 2**16, 0, 0, 0, 2**16, 0, 0, 0, 2**30)
+    clockwise = struct.pack(">9i", 0, 2**16, 0, -(2**16), 0, 0, 0, 0, 2**30)
+    at = data.index(straight, data.index(b"tkhd"))
+    (folder / "drive.mp4").write_bytes(data[:at] + clockwise + data[at + len(straight) :])
+    video = cv2.VideoCapture(str(folder / "drive.mp4"), cv2.CAP_FFMPEG)
+    assert video.read()[1].shape == (48, 64, 3)
+    check_drive(episode_of(imported(folder, "folder", tmp_path / "out")[0]), blurred=3)
+
+
+def test_table_without_images_wants_one_video(tmp_path: Path) -> None:
+    folder = film(tmp_path / "set")
+    (folder / "drive.mp4").unlink()
+    with pytest.raises(ImportFailure, match=r"lacks the columns image; it has time_s, note, lin"):
+        imported(folder, "folder", tmp_path / "out")
