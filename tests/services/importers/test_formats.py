@@ -385,6 +385,12 @@ def test_refusal_names_the_command_for_another_format(form: str, tmp_path: Path)
         imported(source, other, tmp_path / "out")
 
 
+def test_refusal_names_the_folder_of_a_table(tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set")
+    with pytest.raises(ImportFailure, match=f"run: smal import folder {folder}$"):
+        imported(folder / "drive.csv", "folder", tmp_path / "out")
+
+
 def test_refusal_names_the_files_that_are_there(tmp_path: Path) -> None:
     for name in ("a.jpg", "b.jpg", "c.txt"):
         (tmp_path / name).touch()
