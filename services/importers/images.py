@@ -32,14 +32,18 @@ _PNG: Final = b"\x89PNG"
 _DEPTH_HEADER: Final = 12  # Bytes before the PNG of a depth image that ROS compressed.
 
 
-def as_jpeg(data: bytes, tally: Tally) -> bytes:
-    """Return an image file as an upright JPEG; raises `NotAnImage` if it does not decode."""
+def as_jpeg(data: bytes, tally: Tally, announced: str = "") -> bytes:
+    """Return an image file as an upright JPEG; raises `NotAnImage` if it does not decode.
+
+    The source can announce a format; the content decides.
+    """
     if len(data) > MOST_BYTES:
         raise NotAnImage("images are larger than 16 MiB")
     form = next((name for start, name in FORMATS.items() if data.startswith(start)), "other")
     pixels = decode_file(data)
     if pixels is None:
-        raise NotAnImage("images are damaged, or have a format that OpenCV cannot decode")
+        named = f" ({announced[:60]})" if announced else ""
+        raise NotAnImage(f"images are damaged, or have a format that OpenCV cannot decode{named}")
     if form == "JPEG" and is_upright(data):
         return data if _recorded_width(pixels) == pixels.shape[1] else raw_as_jpeg(pixels)
     upright = "images are turned upright by their EXIF orientation"
@@ -54,7 +58,7 @@ def ros_as_jpeg(image: Any, tally: Tally) -> bytes:  # noqa: ANN401 - its class 
         if data.startswith(_PNG, _DEPTH_HEADER):
             tally.say("images show depth (compressedDepth); choose the colour images with --camera")
             data = data[_DEPTH_HEADER:]
-        return as_jpeg(data, tally)
+        return as_jpeg(data, tally, image.format)
     if image.encoding not in ENCODINGS:
         raise NotAnImage(f"images have the unsupported encoding {image.encoding or '(empty)'}")
     try:

@@ -38,6 +38,7 @@ _ANGULAR: Final = (
     "theta_vel", "angular_velocity", "angular_vel", "angular_z", "angular", "wz", "omega",
     "yaw_rate", "yaw_vel", "vel_theta", "vyaw",
 )  # fmt: skip
+_SEEN: Final = ("video", "image")  # Types of features.
 _SIDEWAYS: Final = ("y_vel", "linear_y", "vy", "vel_y")
 _DEGREES: Final = "theta_vel"  # Of LeKiwi, in degrees a second.
 _LEAST_SIDEWAYS: Final = 0.02  # Slower sideways movement is measurement noise, as in `ticks` ahead.
@@ -250,7 +251,7 @@ class _DataSet:
 
 
 def _camera(info: _Info, job: ImportJob, called: str) -> str:
-    cameras = [key for key, feature in info.features.items() if feature.dtype in ("video", "image")]
+    cameras = [key for key, feature in info.features.items() if feature.dtype in _SEEN]
     named = ", ".join(map(printable, cameras)) or "none"
     if job.camera is not None and job.camera not in cameras:
         raise ImportFailure(f"{called}: camera {job.camera} not found; choose from {named}")
@@ -276,7 +277,8 @@ def _velocity(info: _Info, job: ImportJob, called: str) -> _Velocity:
             job.speed or 1.0,
             job.turn_rate or radians,
         )
-    named = (f"{feature}: {', '.join(info.names(feature))}" for feature in info.features)
+    numbers = (key for key, feature in info.features.items() if feature.dtype not in _SEEN)
+    named = (f"{key}: {', '.join(info.names(key)) or 'no names'}" for key in numbers)
     raise ImportFailure(
         f"{called}: no linear and angular velocity of a base in {printable('; '.join(named))[:300]};"
         " name them with --velocity LINEAR,ANGULAR, or number them: --velocity 0,1"

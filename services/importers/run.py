@@ -82,10 +82,11 @@ def _read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     read: Callable[[Inside, ImportJob, Tally], list[ImportedDrive]] = reader.read
     if reader.found(inside):
         return read(inside, job, tally)
-    if others := [form for form in FORMATS if _reader(form).found(inside)]:
+    folder = inside if inside.is_folder else Inside(inside.path.parent)
+    if others := [form for form in FORMATS if _reader(form).found(folder)]:
         raise ImportFailure(
             f"{inside.path}: not of the format {job.format}; run: smal import {others[0]} "
-            f"{inside.path}"
+            f"{folder.path}"
         )
     names = inside.names() if inside.is_folder else [inside.path.name]
     kinds = Counter(Path(name).suffix or "(no suffix)" for name in names).most_common(5)

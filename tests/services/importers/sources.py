@@ -337,12 +337,16 @@ def rosbag2(
 def _compressed(moment: Moment, suffix: str) -> dict[str, Any]:
     """Return an image as a file of a format, or as ROS compresses depth."""
     data = encode_jpeg(moment.image)
-    if suffix == "depth":
+    form = "jpeg"
+    if suffix == "rvl":
+        data = bytes(200)
+        form = "16UC1; compressedDepth rvl"
+    elif suffix == "depth":
         depth_mm = cv2.cvtColor(moment.image, cv2.COLOR_RGB2GRAY).astype(np.uint16) * 16
         data = bytes(12) + cv2.imencode(".png", depth_mm)[1].tobytes()
     elif suffix != ".jpg":
         data = cv2.imencode(suffix, moment.image[..., ::-1])[1].tobytes()
-    return {"format": "jpeg", "data": np.frombuffer(data, np.uint8)}
+    return {"format": form, "data": np.frombuffer(data, np.uint8)}
 
 
 def _raw(moment: Moment, encoding: str) -> dict[str, Any]:

@@ -115,6 +115,11 @@ def test_import_names_the_format_of_images(tmp_path: Path) -> None:
     ):
         bag = sources.rosbag2(tmp_path / named[:40] / "bag", **how)
         assert named in imported(bag, "rosbag2", tmp_path / "out")[1].lines()
+    bag = sources.rosbag2(tmp_path / "rvl/bag", suffix="rvl")
+    with pytest.raises(
+        ImportFailure, match=r"that OpenCV cannot decode \(16UC1; compressedDepth r"
+    ):
+        imported(bag, "rosbag2", tmp_path / "out")
     bag = sources.rosbag2(tmp_path / "bag", raw="32FC1")
     with pytest.raises(ImportFailure, match="images have the unsupported encoding 32FC1"):
         imported(bag, "rosbag2", tmp_path / "out")
@@ -394,6 +399,12 @@ def test_refusal_names_the_command_for_another_format(form: str, tmp_path: Path)
         ImportFailure, match=f"not of the format {other}; run: smal import {form} /"
     ):
         imported(source, other, tmp_path / "out")
+
+
+def test_refusal_names_the_folder_of_a_table(tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set")
+    with pytest.raises(ImportFailure, match=f"run: smal import folder {folder}$"):
+        imported(folder / "drive.csv", "folder", tmp_path / "out")
 
 
 def test_refusal_names_the_files_that_are_there(tmp_path: Path) -> None:
