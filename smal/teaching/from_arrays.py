@@ -119,10 +119,10 @@ def _odometry(name: str, poses: Any, atoms: Int8s) -> Floats:  # noqa: ANN401 - 
             )
     odometry = np.asarray(poses, dtype=np.float64)
     if _in_degrees(odometry, atoms):
-        least, most = odometry[:, 2].min(), odometry[:, 2].max()
+        headings = odometry[:, 2]
         raise ValueError(
-            f"{name}: the headings, {least:.3g} to {most:.3g}, fit the motion in degrees; convert "
-            "them with numpy.radians"
+            f"{name}: the headings, {headings.min():.3g} to {headings.max():.3g}, fit the motion in "
+            "degrees; convert them with numpy.radians"
         )
     return odometry
 
