@@ -311,8 +311,8 @@ class Filter:
     def _seen(self, centred: Float32s) -> ViewEvidence:
         """Compare a view with the views of the map.
 
-        A view carries no information if it is most like a blank picture, equally like all places, bit-identical to the
-        last view, or unchanged while the wheels move.
+        A view carries no information if it is clearly most like a blank picture, equally like all places,
+        bit-identical to the last view, or unchanged while the wheels move.
         """
         components = self._map.described(centred)
         keyframes, stand_for = self._map.likely(components)
@@ -324,7 +324,8 @@ class Filter:
         middle, spread = scale(self._map.sample @ components)
         like_blank = float(components @ self._map.blank)
         empty = not components.any()
-        blank = empty or spread <= 1e-6 or like_blank > cosines.max()
+        # An overexposed view resembles both: a blank picture has to explain twice as much of its variance.
+        blank = empty or spread <= 1e-6 or like_blank > math.sqrt(2.0) * cosines.max()
         # A view of an untaught scene can be less like each taught view than like a blank picture.
         dead = blank and (like_blank > 0.5 or empty)
         self._camera = "blank" if dead else "frozen" if self._frozen.yes else "sees"

@@ -23,8 +23,8 @@ class PlannerConfig:
     #: Share of its speed at which a car looks around, in the sharpest bend.
     look_speed: float = 0.5
     #: Likelihood ratio of all views to views of elsewhere from which a robot drives without looking
-    #: around first: 19 to 1 is a probability of 0.95.
-    decisive: float = 19.0
+    #: around first: "decisive" on the scale of Jeffreys (1961).
+    decisive: float = 100.0
     #: Time of driving by the best guess before the robot looks around again.
     guess_s: float = 2.0
     #: Time of driving without a supporting view after which the robot stands. With the time of its decision and its

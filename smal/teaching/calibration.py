@@ -585,6 +585,8 @@ def likelihood_of_views(
     untaught, by_untaught, _ = _elsewhere(taught, mirrored, length, frames.config, config)
     fixed = np.concatenate([fixed, untaught])
     followed = np.concatenate([followed, by_untaught])
+    if not followed.size:
+        fixed = followed = np.random.default_rng(0).standard_normal(10_000)
     independent = 2.0 * _independent(taught.poses, drives, length)
     return Likelihood.fit(np.array(here), fixed, followed, independent, gamma, config), correlation
 
@@ -617,9 +619,6 @@ def _elsewhere(
             start, view = np.unravel_index(z.mean(axis=1).argmax(), z[:, 0].shape)
             followed.append(z[start, :, view])
             chains.append(z[:, :2, z.shape[2] // 2].T)
-    if len(followed) == 1:
-        normal = np.random.default_rng(0).standard_normal(10_000)
-        return normal, normal, chains[0]
     return np.concatenate(fixed), np.concatenate(followed), np.concatenate(chains, axis=1)
 
 
