@@ -40,7 +40,7 @@ class PitchConfig:
     #: Probability from which a pitch replaces the present pitch.
     clear: float = 0.95
     #: Probability of being near one place, and not lost, from which a view is compared.
-    certain: float = 0.9
+    certain: float = 0.5
     #: Way, in correlation lengths, over which older evidence loses half of its weight.
     half_lengths: float = 10.0
     #: Way between compared views, in correlation lengths, when the pitch is clear.

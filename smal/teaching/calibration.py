@@ -7,7 +7,7 @@ has the same heading twice. There a virtual view compensates the turn between tw
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -575,9 +575,13 @@ def likelihood_of_views(
             "images a second"
         )
 
+    @cache
+    def mirrored_view(key: int) -> Float32s:
+        image = np.ascontiguousarray(frames.images[keyframes[key]][:, ::-1])
+        return unit(frames.describe([image])[0] @ basis)
+
     def mirrored(keys: Indices) -> Float32s:
-        images = (np.ascontiguousarray(frames.images[k][:, ::-1]) for k in keyframes[keys].tolist())
-        return unit(frames.describe(images) @ basis)
+        return np.stack(list(in_parallel(mirrored_view, keys.tolist())))
 
     fixed, followed, chains = _elsewhere(taught, taught.own, length, frames.config, config)
     correlation = _correlation(chains)
