@@ -65,6 +65,8 @@ class Belief:
     support: float = math.inf
     #: Estimated angle by which the camera points further down than when it was taught.
     pitch_deg: float = 0.0
+    #: Way ahead since the frame before, by odometry, in the map's unit; None without odometry.
+    moved: float | None = None
 
     @property
     def is_lost(self) -> bool:

@@ -260,6 +260,8 @@ class Localizer:
         elif atoms:
             movement = self._usual_movement(atoms, elapsed_s)
         belief = self._filter.observe(raw_features, movement, noise)
+        if noise is BY_ODOMETRY:
+            belief = replace(belief, moved=movement.ahead)
         self._movement = movement
         self._since_near += abs(movement.ahead)
         self._strange = max(self._strange - movement.ahead, 0.0)

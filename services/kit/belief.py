@@ -28,6 +28,7 @@ def fields_of(located: Located) -> dict[str, Any]:
         "support": min(belief.support, 1e9),
         "camera": belief.camera,
         "pitch_deg": belief.pitch_deg,
+        "moved_m": belief.moved,
     }
     if located.seen is not None:
         fields |= dict(zip(("seen", "near", "seen_left"), located.seen, strict=True))
@@ -50,6 +51,7 @@ def belief_of(state: State) -> Belief:
         unseen=state.unseen_m,
         camera=state.camera,
         pitch_deg=state.pitch_deg,
+        moved=state.moved_m,
         support=math.inf if state.support is None else state.support,
     )
 

@@ -162,8 +162,8 @@ class Surroundings:
     body_m
         Distance that the robot keeps from the middle of an occupied cell. The obstacle fills half
         of the cell; the other half is for wheels that slip.
-    heading, moved_m
-        Heading by the odometry, and distance of the last move.
+    heading
+        Heading by the odometry.
     seen
         Scan of the last image; None if it showed no ground.
     """
@@ -178,9 +178,7 @@ class Surroundings:
         #: Offset of each cell's middle from the middle of the robot's cell.
         self._x_m, self._y_m = np.meshgrid(offsets, offsets, indexing="ij")
         self._grid = Occupancy(offsets.size)
-        self._xy: tuple[float, float] | None = None
         self._cell: tuple[int, int] | None = None
-        self.moved_m = 0.0
         self._rest = np.zeros(2)
         self._mount: Mount | None = None  # Mount at the last image.
         self.heading = 0.0
@@ -195,9 +193,6 @@ class Surroundings:
     def move(self, pose: Sequence[float]) -> None:
         """Move to the odometry pose: x, y and heading in radians."""
         x, y, self.heading = pose
-        if self._xy is not None:
-            self.moved_m = math.dist(self._xy, (x, y))
-        self._xy = x, y
         cell = round(x / self.cell_m), round(y / self.cell_m)
         before = self._cell or cell
         self._cell = cell

@@ -339,11 +339,11 @@ class Blind(Behaviour):
 class BackOff(Behaviour):
     """Back off if the wheels stand although the robot drives; the second time, look around.
 
-    Only a robot with a depth camera and odometry backs off.
+    Only a robot with odometry notices. Without a depth camera it cannot check the space behind, so
+    it looks around at once.
     """
 
-    def __init__(self, taught: VisualMap, chassis: Chassis, look: LookAround) -> None:
-        self._odometry = taught.odometry
+    def __init__(self, chassis: Chassis, look: LookAround) -> None:
         self._chassis = chassis
         self._look = look
         self._stands_s = 0.0
@@ -354,15 +354,16 @@ class BackOff(Behaviour):
     def note(self, now: Situation) -> None:
         """Count the time for which the wheels stand."""
         self._backs_s = max(self._backs_s - now.elapsed_s, 0.0)
-        if now.around is None or not self._odometry or now.motion[0] <= 0.0:
+        moved = now.belief.moved
+        if moved is None or now.motion[0] <= 0.0:
             return
         commanded = self._chassis.speed * now.motion[0] * now.elapsed_s
-        stands = now.around.moved_m < 0.1 * commanded
+        stands = moved < 0.1 * commanded
         self._stands_s = self._stands_s + now.elapsed_s if stands else 0.0
-        self._driven += now.around.moved_m
+        self._driven += moved
         if self._stands_s < self._chassis.config.stalls_s:
             return
-        self._in_vain = self._driven < self._chassis.lookahead
+        self._in_vain = now.around is None or self._driven < self._chassis.lookahead
         if self._in_vain:
             self._look.again()
         self._stands_s = 0.0
@@ -371,9 +372,10 @@ class BackOff(Behaviour):
 
     def propose(self, now: Situation) -> Intent | None:
         """Back off as far as the space behind is known to be free, then look around if due."""
-        if now.around is None or self._driven >= self._chassis.lookahead:
+        if self._driven >= self._chassis.lookahead:
             return None
-        if self._backs_s > 0.0 and now.around.free_m(ahead=False) > 0.0:
+        behind_m = now.around.free_m(ahead=False) if now.around else 0.0
+        if self._backs_s > 0.0 and behind_m > 0.0:
             return Intent("blocked", (-1.0, 0.0), now.heading_rad)
         return self._look.propose(now) if self._in_vain else None
 

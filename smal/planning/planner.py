@@ -91,7 +91,7 @@ class Planner:
         look = LookAround(self._taught, self._chassis)
         self._search = Search(self._taught, self._chassis, self._mission, look)
         wait = Wait(self._taught, self._chassis, self._mission, look)
-        back_off = BackOff(self._taught, self._chassis, look)
+        back_off = BackOff(self._chassis, look)
         follow = Follow(look, wait)
         self._behaviours: tuple[Behaviour, ...] = (
             Done(self._mission), self._search, Blind(look), back_off, follow, look, Guess(), DeadEnd(), wait

@@ -26,6 +26,7 @@ def test_belief_is_whole_after_it_crosses_the_bus(support: float) -> None:
         camera="frozen",
         support=support,
         pitch_deg=-2.5,
+        moved=0.25,
     )
     head = {"robot": "rescue", "episode": "drive-0", "tick": 1, "stamp_ns": 1}
     sent = fields_of(Located(belief, belief, None, math.inf))

@@ -150,14 +150,25 @@ def test_robot_backs_off_then_looks_around_when_its_wheels_stand() -> None:
     planner = Planner(map_of(16.0))
     made = looks([])
     x = 0.0
+    moved = 0.0
     decisions = []
     for _ in range(50):
         made.move((x, 0.0, 0.0))
-        decisions.append(planner.decide(belief((HERE, x, 0.0, 0.0)), around=made))
-        x += 0.02 * min(decisions[-1].motion[0], 0.0)
+        here = replace(belief((HERE, x, 0.0, 0.0)), moved=moved)
+        decisions.append(planner.decide(here, around=made))
+        moved = 0.02 * min(decisions[-1].motion[0], 0.0)
+        x += moved
     kinds = [kind for kind, _ in groupby(decision.kind for decision in decisions)]
     assert kinds == ["follow", "blocked", "follow", "blocked", "look_around"]
     assert -1.0 < x < -0.1
+
+
+def test_robot_looks_around_when_its_wheels_stand_without_depth() -> None:
+    planner = Planner(map_of(16.0))
+    stands = replace(belief((HERE, 0.0, 0.0, 0.0)), moved=0.0)
+    motions = [planner.decide(stands).motion for _ in range(20)]
+    assert sum(linear > 0.0 for linear, _ in motions) == pytest.approx(10, abs=1)
+    assert motions[-1][0] == 0.0
 
 
 def test_robot_drives_on_when_its_wheels_turn() -> None:
@@ -165,4 +176,5 @@ def test_robot_drives_on_when_its_wheels_turn() -> None:
     made = looks([])
     for x in np.arange(0.0, 4.0, 0.1):
         made.observe((x, 0.0, 0.0), depth([], (x, 0.0, 0.0)), MOUNT)
-        assert planner.decide(belief((HERE, x, 0.0, 0.0)), around=made).motion[0] > 0.0
+        here = replace(belief((HERE, x, 0.0, 0.0)), moved=0.1)
+        assert planner.decide(here, around=made).motion[0] > 0.0
