@@ -327,7 +327,7 @@ class Filter:
         like_blank = float(components @ self._map.blank)
         empty = not components.any()
         # An overexposed view resembles both: a blank picture has to explain twice as much of its variance.
-        blank = empty or spread <= 1e-6 or like_blank > math.sqrt(2.0) * cosines.max()
+        blank = empty or spread <= 1e-6 or like_blank > math.sqrt(2.0) * max(cosines.max(), 0.0)
         # A view of an untaught scene can be less like each taught view than like a blank picture.
         dead = blank and (like_blank > 0.5 or empty)
         self._camera = "blank" if dead else "frozen" if self._frozen.yes else "sees"

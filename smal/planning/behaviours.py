@@ -340,7 +340,7 @@ class BackOff(Behaviour):
     """Back off if the wheels stand although the robot drives; the second time, look around.
 
     Only a robot with odometry notices. Without a depth camera it cannot check the space behind, so
-    it looks around at once.
+    it looks around at once; a car cannot do this either without driving ahead.
     """
 
     def __init__(self, chassis: Chassis, look: LookAround) -> None:
@@ -355,7 +355,8 @@ class BackOff(Behaviour):
         """Count the time for which the wheels stand."""
         self._backs_s = max(self._backs_s - now.elapsed_s, 0.0)
         moved = now.belief.moved
-        if moved is None or now.motion[0] <= 0.0:
+        helpless = now.around is None and self._chassis.car
+        if moved is None or now.motion[0] <= 0.0 or helpless:
             return
         commanded = self._chassis.speed * now.motion[0] * now.elapsed_s
         stands = moved < 0.1 * commanded

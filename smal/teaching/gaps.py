@@ -59,7 +59,7 @@ def reckoned(
 
 @dataclass(frozen=True)
 class _Likeness:
-    """Likeness of the views of a drive after some steps of one action."""
+    """Likeness of the views of a drive some frames after a frame with one action."""
 
     centred: Callable[[Iterable[int]], Float32s]
     #: Frames before gaps.

@@ -58,15 +58,15 @@ def variants_of(mapped: VisualMap) -> int:
 
 
 def test_changed_places_get_a_variant_that_fits_the_day() -> None:
-    grown = with_view_variants(model(), [run(7, 0.6)])
+    grown = with_view_variants(model(), [run(7, 0.5)])
     taught = model().mapped
     count = len(taught.keyframes)
     assert 0 < len(grown.mapped.variants) <= count
     assert variants_of(grown.mapped) == 1
     np.testing.assert_array_equal(grown.mapped.views[:count], taught.views)
-    that_day = [run(7, 0.6, aside) for aside in (-0.05, 0.1)]
+    that_day = [run(7, 0.5, aside) for aside in (-0.05, 0.1)]
     verdict = compared(model(), grown, that_day)
-    assert verdict.gain > 0.04
+    assert verdict.gain > 0.015
     assert verdict.better
     assert not compared(grown, model(), that_day).better
     assert compared(model(), grown, [run(0, 0.0)]).better
@@ -80,11 +80,11 @@ def test_taught_day_teaches_nothing_new() -> None:
 
 
 def test_second_half_of_the_runs_decides() -> None:
-    better, verdict = update_map(model(), [run(7, 0.6, aside) for aside in (0.05, -0.05, 0.1, 0.0)])
+    better, verdict = update_map(model(), [run(7, 0.5, aside) for aside in (0.05, -0.05, 0.1, 0.0)])
     assert verdict.better
     assert len(better.mapped.variants) > 0
     with pytest.raises(ValueError, match="too few runs"):
-        update_map(model(), [run(7, 0.6)])
+        update_map(model(), [run(7, 0.5)])
 
 
 def test_variants_are_bounded_and_keep_the_taught_one() -> None:
