@@ -139,6 +139,10 @@ def test_template_reads_what_it_writes(x_m: float, y_m: float) -> None:
     assert values["y_m"] == pytest.approx(y_m, abs=1e-3)
 
 
+def test_template_writes_no_exponent_by_default() -> None:
+    assert Template("v {x_m}", ("x_m",)).write({"x_m": 5.55e-17}) == "v 0.000000"
+
+
 @given(st.text(max_size=60))
 def test_template_ignores_lines_of_another_form(line: str) -> None:
     values = Template("o {x_m} {y_m}", ("x_m", "y_m")).read(line)
