@@ -48,7 +48,7 @@ def test_preset_needs_only_the_watchdog(preset: str, tmp_path: Path) -> None:
         ("openbot", AHEAD, "h200\nc255,255\n"),
         ("openbot", STANDING, "h200\nc0,0\n"),
         ("ros_arduino_bridge", AHEAD, "m 27 27\re\r"),
-        ("roboteq", LEFT, "!G 1 -200\r!G 2 200\r?C\r"),
+        ("roboteq", LEFT, "^RWD 200\r!G 1 -200\r!G 2 200\r?C\r"),
     ],
 )
 def test_preset_sends_the_lines_of_its_base(
