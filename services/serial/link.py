@@ -14,6 +14,7 @@ import select
 import socket
 import struct
 import termios
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from threading import Event, Lock, Thread
@@ -29,6 +30,8 @@ from services.serial.config import SerialConfig
 
 _RETRY_S: Final = 0.5
 _CONNECT_S: Final = 2.0
+# Period in which the last stop is sent again while earlier lines wait.
+_RESEND_S: Final = 0.005
 # Period of the check for lines and for silence.
 _POLL_S: Final = 0.05
 #: Silence of the actuator, between episodes or by a fault, after which the link sends the stop line.
@@ -97,32 +100,35 @@ class LineLink:
         """Return why the base cannot be reached, or None."""
         return self._lacks
 
-    def send(self, text: str) -> None:
-        """Send a text if the earlier ones have left; drop it otherwise."""
+    def send(self, text: str) -> bool:
+        """Send a text if the earlier ones have left; drop it otherwise, and return False."""
         with self._lock:
             self._asked_s = now_s()
             if self._port is not None:
                 try:
-                    self._write(self._port, text.encode())
+                    return self._write(self._port, text.encode())
                 except OSError as error:
                     self._break(error)
+        return False
 
     def close(self) -> None:
-        """Stop the base, and close the link."""
-        self.send(self._stop)
+        """Stop the base, and close the link; a thread that hangs ends with the process."""
+        while not self.send(self._stop) and self._lacks is None:
+            time.sleep(_RESEND_S)
         self._ended.set()
-        self._thread.join()
+        self._thread.join(_CONNECT_S)
 
-    def _write(self, port: Port, data: bytes) -> None:
+    def _write(self, port: Port, data: bytes) -> bool:
         most = _ON_THEIR_WAY * len(data) if isinstance(port, socket.socket) else 0
         waiting = struct.unpack("i", fcntl.ioctl(port.fileno(), termios.TIOCOUTQ, bytes(4)))[0]
         if waiting > most:
             if self._asked_s - self._sent_s > SILENCE_S:
                 raise TimeoutError(f"takes no data for {SILENCE_S:g} s")
-            return
+            return False
         if os.write(port.fileno(), data) < len(data):
             raise TimeoutError("takes only a part of a line")
         self._sent_s = self._asked_s
+        return True
 
     def _break(self, error: Exception) -> None:
         self._port = None

@@ -2,9 +2,12 @@
 
 import json
 import socket
+import struct
 import time
-from contextlib import closing
+from contextlib import closing, suppress
+from itertools import chain, repeat
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import cv2
@@ -26,6 +29,7 @@ from tests.serial.fake_base import TICKS_PER_M, TRACK_M
 from tests.serial.rig import FakeBase, Proxy, config_of, until
 
 PACE_S = 1 / 15
+LINK = "services.serial.link"
 
 
 def arrivals_of(*gaps_s: float) -> list[float]:
@@ -264,6 +268,50 @@ def test_link_drops_a_velocity_when_the_earlier_one_waits(tmp_path: Path) -> Non
 
                 until(stuck)
                 assert "takes no data for 0.25 s" in str(link.lacks())
+
+
+def link_of(folder: Path, address: str) -> LineLink:
+    """Return a link to an address."""
+    path = folder / "mine.yaml"
+    path.write_text(json.dumps(config_of(FakeCamera, address)))
+    return LineLink(read_config(path), lambda _line, _at_s: None)
+
+
+def test_link_ends_with_a_stop_when_earlier_lines_wait(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waiting = chain([0, 70, 35], repeat(0))  # Bytes that have not left a slow serial port.
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as base:
+        base.bind(("127.0.0.1", 0))
+        base.setblocking(False)
+        link = link_of(tmp_path, f"udp://127.0.0.1:{base.getsockname()[1]}")
+        until(lambda: link.lacks() is None)
+        monkeypatch.setattr(f"{LINK}._ON_THEIR_WAY", 1)
+        monkeypatch.setattr(f"{LINK}.fcntl.ioctl", lambda *_: struct.pack("i", next(waiting)))
+        link.send("v 1 1\n")
+        link.close()
+        lines = []
+        with suppress(BlockingIOError):
+            while True:
+                lines.append(base.recv(100))
+    assert lines[-1] == b"v 0.000 0.000\n"
+
+
+def test_link_closes_when_its_thread_hangs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    released = Event()
+    hangs = Event()
+
+    def opened(*_: object) -> None:
+        hangs.set()
+        released.wait()
+        raise TimeoutError
+
+    monkeypatch.setattr(f"{LINK}.opened", opened)
+    monkeypatch.setattr(f"{LINK}._CONNECT_S", 0.1)
+    link = link_of(tmp_path, "tcp://robot:9")
+    hangs.wait()
+    link.close()  # Returns.
+    released.set()
 
 
 @pytest.mark.system
