@@ -174,6 +174,31 @@ def test_body_stands_when_the_picture_repeats_while_it_drives(rig: Rig) -> None:
     assert rig.link.lines[-1] == "v 0.000 0.000\n"
 
 
+def pulses(rig: Rig, count: int) -> None:
+    """Drive in pulses of 0.2 s."""
+    for _ in range(count):
+        for _ in range(11):
+            rig.body.drive(Velocity(1.0, 0.0))
+            rig.now_s += 0.02
+        rig.body.stand()
+        rig.now_s += 10.0
+
+
+def test_body_stands_when_the_picture_repeats_over_pulses(rig: Rig) -> None:
+    rig.camera.repeats = 20
+    pulses(rig, 2)
+    with pytest.raises(ServiceError, match="shows the same picture while the robot drives"):
+        pulses(rig, 1)
+    pulses(rig, 1)  # It is armed, and starts as at first.
+
+
+def test_body_drives_in_pulses_when_pictures_change(rig: Rig) -> None:
+    rig.camera.repeats = 20
+    for _ in range(5):
+        pulses(rig, 1)
+        rig.camera.changed_s = rig.now_s - 9.0
+
+
 @pytest.mark.parametrize("part", ["camera", "link"])
 def test_body_stands_while_an_input_is_missing(rig: Rig, part: str) -> None:
     getattr(rig, part).missing = "unplugged"
