@@ -155,6 +155,10 @@ def test_template_ignores_lines_of_another_form(line: str) -> None:
         (("--robot-body", "serial"), "--robot-body serial: requires --robot-config FILE"),
         (("--robot-config", "x.yaml"), "--robot-config: unsupported by --robot-body simulator"),
         (("--robot-body", "serial", "--robot-config", "x.yaml"), "x.yaml: no such file or direct"),
+        (
+            ("--robot-body", "seriel", "--robot-config", "x.yaml"),
+            "unsupported by --robot-body seriel",
+        ),
     ],
 )
 def test_up_reports_a_bad_config_before_it_starts(flags: tuple[str, ...], line: str) -> None:
