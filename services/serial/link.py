@@ -54,7 +54,10 @@ def opened(address: str, baud: int) -> Port:
     """Open a serial port (a path), tcp://HOST:PORT or udp://HOST:PORT; OSError if it fails."""
     where = urlsplit(address)
     if not where.scheme:
-        return serial.Serial(address, baud, timeout=0, write_timeout=0, exclusive=True)
+        try:
+            return serial.Serial(address, baud, timeout=0, write_timeout=0, exclusive=True)
+        except termios.error as error:
+            raise OSError(*error.args) from error
     kind = socket.SOCK_DGRAM if where.scheme == "udp" else socket.SOCK_STREAM
     network = socket.socket(socket.AF_INET, kind)
     network.settimeout(_CONNECT_S)

@@ -1,8 +1,12 @@
 """The camera and the odometry of a base without ROS."""
 
+import errno
 import json
+import os
+import pty
 import socket
 import struct
+import termios
 import time
 from contextlib import closing, suppress
 from itertools import chain, repeat
@@ -337,6 +341,22 @@ def test_link_closes_when_its_thread_hangs(tmp_path: Path, monkeypatch: pytest.M
     hangs.wait()
     link.close()  # Returns.
     released.set()
+
+
+def test_link_names_the_fault_when_a_port_has_no_settings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> None:
+        raise termios.error(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("termios.tcsetattr", fails)
+    master, slave = pty.openpty()
+    address = os.ttyname(slave)
+    os.close(slave)
+    with closing(link_of(tmp_path, address)) as link:
+        until(lambda: "not open yet" not in str(link.lacks()))
+        assert link.lacks() == f"{address}: [Errno 5] Input/output error"
+    os.close(master)
 
 
 @pytest.mark.system
