@@ -190,7 +190,8 @@ class LineLink:
             data = os.read(port.fileno(), 4096)
             if not data:
                 raise ConnectionError("closed by the base")
-            *lines, rest = ends.split((rest + data)[-4096:])
+            *lines, rest = ends.split(rest + data)
+            rest = rest[: _LONGEST + 1]  # Enough to recognise a line that is too long.
             arrived_s = now_s()
             for line in filter(None, lines):
                 if len(line) <= _LONGEST:

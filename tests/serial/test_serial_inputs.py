@@ -8,6 +8,7 @@ import socket
 import struct
 import termios
 import time
+from collections.abc import Callable
 from contextlib import closing, suppress
 from itertools import chain, repeat
 from pathlib import Path
@@ -257,15 +258,23 @@ def test_odometry_turns_left_when_the_right_wheel_drives(tmp_path: Path) -> None
     assert reading.heading_rad == pytest.approx(400 / TICKS_PER_M / TRACK_M)
 
 
+def link_of(
+    folder: Path, address: str, take: Callable[[str, float], None] = lambda _line, _at_s: None
+) -> LineLink:
+    """Return a link to an address."""
+    path = folder / "mine.yaml"
+    path.write_text(json.dumps(config_of(FakeCamera, address)))
+    return LineLink(read_config(path), take)
+
+
 def test_link_reaches_a_base_by_udp(tmp_path: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as base:
         base.bind(("127.0.0.1", 0))
         base.settimeout(30.0)
         lines: list[str] = []
         rig = Rig(tmp_path)
-        told = config_of(FakeCamera, f"udp://127.0.0.1:{base.getsockname()[1]}")
-        (tmp_path / "mine.yaml").write_text(json.dumps(told))
-        link = LineLink(read_config(tmp_path / "mine.yaml"), lambda line, _at_s: lines.append(line))
+        address = f"udp://127.0.0.1:{base.getsockname()[1]}"
+        link = link_of(tmp_path, address, lambda line, _at_s: lines.append(line))
         with closing(link):
             until(lambda: link.lacks() is None)
             link.send(rig.config.command(Velocity(1.0, 0.0)))
@@ -275,6 +284,20 @@ def test_link_reaches_a_base_by_udp(tmp_path: Path) -> None:
             until(lambda: lines == ["o 1 2", "o 3 4"])
             # A silent actuator stops the base.
             assert base.recvfrom(100)[0] == b"v 0.000 0.000\n"
+
+
+def test_link_takes_whole_lines_when_much_arrives_at_once(tmp_path: Path) -> None:
+    lines: list[str] = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as base:
+        base.bind(("127.0.0.1", 0))
+        base.settimeout(30.0)
+        address = f"udp://127.0.0.1:{base.getsockname()[1]}"
+        with closing(link_of(tmp_path, address, lambda line, _at_s: lines.append(line))):
+            sender = base.recvfrom(100)[1]
+            for data in (b"o 12345678", b"90 6\n" + b"o 7 8\n" * 681, b"9" * 4000, b"9 9\no 1 2\n"):
+                base.sendto(data, sender)
+            until(lambda: "o 1 2" in lines)
+    assert lines == ["o 1234567890 6", *["o 7 8"] * 681, "o 1 2"]
 
 
 def test_link_drops_a_velocity_when_the_earlier_one_waits(tmp_path: Path) -> None:
@@ -297,13 +320,6 @@ def test_link_drops_a_velocity_when_the_earlier_one_waits(tmp_path: Path) -> Non
 
                 until(stuck)
                 assert "takes no data for 0.25 s" in str(link.lacks())
-
-
-def link_of(folder: Path, address: str) -> LineLink:
-    """Return a link to an address."""
-    path = folder / "mine.yaml"
-    path.write_text(json.dumps(config_of(FakeCamera, address)))
-    return LineLink(read_config(path), lambda _line, _at_s: None)
 
 
 def test_link_ends_with_a_stop_when_earlier_lines_wait(
