@@ -135,15 +135,16 @@ class RobotBody:
 
     def base(self) -> tuple[str, Path] | None:
         """Return the kind of a real base, and its configuration file."""
-        known = (_SIMULATOR, _NONE, *BASES)
-        kind, path = (self.body, self.config) if self.body in known else ("ros2", Path(self.body))
-        if kind not in BASES:
-            if path is not None:
-                raise UsageError(f"--robot-config: unsupported by --robot-body {kind}")
-            return None
-        if path is None:
-            raise UsageError(f"--robot-body {kind}: requires --robot-config FILE")
-        return kind, path
+        if self.body in BASES:
+            if self.config is None:
+                raise UsageError(f"--robot-body {self.body}: requires --robot-config FILE")
+            return self.body, self.config
+        if self.config is not None:
+            raise UsageError(
+                f"--robot-config: unsupported by --robot-body {self.body}; "
+                f"use --robot-body {' or '.join(BASES)}"
+            )
+        return None if self.body in (_SIMULATOR, _NONE) else ("ros2", Path(self.body))
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,9 @@ class SerialBody:
         self._link = link
         self._clock = clock
         self._drives_since_s: float | None = None
+        self._drove_s = 0.0  # Time of the last `drive`.
+        self._changed_s: float | None = None  # Exposure of the last picture that differed.
+        self._due_s = 0.0  # Time at which the next different picture is due.
         self._lacked = False
 
     @property
@@ -64,10 +67,9 @@ class SerialBody:
             self.stand()
             return STANDING
         now = self._clock()
-        if self._drives_since_s is None:
-            self._drives_since_s = now
         if self._frozen(now):
             self.stand()
+            self._changed_s = None  # Once armed, the robot starts as at first.
             raise ServiceError(
                 f"{self.name}: camera {self._config.camera.source} shows the same picture while "
                 "the robot drives; it stands until it is armed"
@@ -83,12 +85,17 @@ class SerialBody:
     def _frozen(self, now: float) -> bool:
         """Return whether pictures have stayed equal while the robot drives.
 
-        A robot that stands can see equal pictures, since video codecs remove noise.
+        A robot that stands can see equal pictures, since video codecs remove noise. Time in which
+        the robot stands between two equal pictures does not count.
         """
-        if self._drives_since_s is None or self._camera.repeats < 2:
-            return False
-        shows_s = self._drives_since_s + STARTS_S
-        return now - max(self._camera.changed_s, shows_s) > SILENCE_S
+        if self._drives_since_s is None:
+            self._drives_since_s = now
+            self._due_s += now - self._drove_s
+        self._drove_s = now
+        if self._changed_s != self._camera.changed_s:
+            self._changed_s = self._camera.changed_s
+            self._due_s = max(self._changed_s, self._drives_since_s + STARTS_S) + SILENCE_S
+        return self._camera.repeats >= 2 and now > self._due_s
 
     def _lacks(self) -> str | None:
         return self._link.lacks() or self._odometer.lacks() or self._camera.lacks()

@@ -14,6 +14,7 @@ import select
 import socket
 import struct
 import termios
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from threading import Event, Lock, Thread
@@ -29,6 +30,8 @@ from services.serial.config import SerialConfig
 
 _RETRY_S: Final = 0.5
 _CONNECT_S: Final = 2.0
+# Period in which the last stop is sent again while earlier lines wait.
+_RESEND_S: Final = 0.005
 # Period of the check for lines and for silence.
 _POLL_S: Final = 0.05
 #: Silence of the actuator, between episodes or by a fault, after which the link sends the stop line.
@@ -51,7 +54,10 @@ def opened(address: str, baud: int) -> Port:
     """Open a serial port (a path), tcp://HOST:PORT or udp://HOST:PORT; OSError if it fails."""
     where = urlsplit(address)
     if not where.scheme:
-        return serial.Serial(address, baud, timeout=0, write_timeout=0, exclusive=True)
+        try:
+            return serial.Serial(address, baud, timeout=0, write_timeout=0, exclusive=True)
+        except termios.error as error:
+            raise OSError(*error.args) from error
     kind = socket.SOCK_DGRAM if where.scheme == "udp" else socket.SOCK_STREAM
     network = socket.socket(socket.AF_INET, kind)
     network.settimeout(_CONNECT_S)
@@ -97,32 +103,35 @@ class LineLink:
         """Return why the base cannot be reached, or None."""
         return self._lacks
 
-    def send(self, text: str) -> None:
-        """Send a text if the earlier ones have left; drop it otherwise."""
+    def send(self, text: str) -> bool:
+        """Send a text if the earlier ones have left; drop it otherwise, and return False."""
         with self._lock:
             self._asked_s = now_s()
             if self._port is not None:
                 try:
-                    self._write(self._port, text.encode())
+                    return self._write(self._port, text.encode())
                 except OSError as error:
                     self._break(error)
+        return False
 
     def close(self) -> None:
-        """Stop the base, and close the link."""
-        self.send(self._stop)
+        """Stop the base, and close the link; a thread that hangs ends with the process."""
+        while not self.send(self._stop) and self._lacks is None:
+            time.sleep(_RESEND_S)
         self._ended.set()
-        self._thread.join()
+        self._thread.join(_CONNECT_S)
 
-    def _write(self, port: Port, data: bytes) -> None:
+    def _write(self, port: Port, data: bytes) -> bool:
         most = _ON_THEIR_WAY * len(data) if isinstance(port, socket.socket) else 0
         waiting = struct.unpack("i", fcntl.ioctl(port.fileno(), termios.TIOCOUTQ, bytes(4)))[0]
         if waiting > most:
             if self._asked_s - self._sent_s > SILENCE_S:
                 raise TimeoutError(f"takes no data for {SILENCE_S:g} s")
-            return
+            return False
         if os.write(port.fileno(), data) < len(data):
             raise TimeoutError("takes only a part of a line")
         self._sent_s = self._asked_s
+        return True
 
     def _break(self, error: Exception) -> None:
         self._port = None
@@ -181,7 +190,8 @@ class LineLink:
             data = os.read(port.fileno(), 4096)
             if not data:
                 raise ConnectionError("closed by the base")
-            *lines, rest = ends.split((rest + data)[-4096:])
+            *lines, rest = ends.split(rest + data)
+            rest = rest[: _LONGEST + 1]  # Enough to recognise a line that is too long.
             arrived_s = now_s()
             for line in filter(None, lines):
                 if len(line) <= _LONGEST:

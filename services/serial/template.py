@@ -1,8 +1,8 @@
 """Template of a line of text with numbers, to write the line and to read it.
 
 ``{name*factor:format}`` is a number: the text holds the value of ``name`` times the factor (by
-default 1), in a format of Python (by default any number). All other braces are text, so JSON needs
-no escapes. When a line is read, ``*`` stands for any text.
+default 1), in a format of Python (by default .6f). A line that is read can have any format. All
+other braces are text, so JSON needs no escapes. When a line is read, ``*`` stands for any text.
 """
 
 import math
@@ -10,6 +10,8 @@ import re
 from collections.abc import Collection, Mapping
 from typing import Final
 
+# Without an exponent: parseFloat of Arduino reads -5.55e-17 as -5.55.
+_DEFAULT: Final = ".6f"
 _FIELD: Final = re.compile(r"\{([a-z][a-z0-9_]*)(?:\*([^:{}]+))?(?::([^{}]*))?\}")
 _NUMBER: Final = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
 
@@ -26,7 +28,7 @@ class Template:
             if name not in known:
                 raise ValueError(f"unknown {{{name}}}; known: {', '.join(sorted(known))}")
             self._factors.append(_factor(factor))
-            self._formats.append(_format(spec))
+            self._formats.append(_format(spec or _DEFAULT))
         anything = [r".*?".join(map(re.escape, part.split("*"))) for part in self._parts]
         self._pattern = re.compile(_NUMBER.join(anything) + r"\s*")
 

@@ -48,7 +48,7 @@ def test_preset_needs_only_the_watchdog(preset: str, tmp_path: Path) -> None:
         ("openbot", AHEAD, "h200\nc255,255\n"),
         ("openbot", STANDING, "h200\nc0,0\n"),
         ("ros_arduino_bridge", AHEAD, "m 27 27\re\r"),
-        ("roboteq", LEFT, "!G 1 -200\r!G 2 200\r?C\r"),
+        ("roboteq", LEFT, "^RWD 200\r!G 1 -200\r!G 2 200\r?C\r"),
     ],
 )
 def test_preset_sends_the_lines_of_its_base(
@@ -139,6 +139,10 @@ def test_template_reads_what_it_writes(x_m: float, y_m: float) -> None:
     assert values["y_m"] == pytest.approx(y_m, abs=1e-3)
 
 
+def test_template_writes_no_exponent_by_default() -> None:
+    assert Template("v {x_m}", ("x_m",)).write({"x_m": 5.55e-17}) == "v 0.000000"
+
+
 @given(st.text(max_size=60))
 def test_template_ignores_lines_of_another_form(line: str) -> None:
     values = Template("o {x_m} {y_m}", ("x_m", "y_m")).read(line)
@@ -151,6 +155,10 @@ def test_template_ignores_lines_of_another_form(line: str) -> None:
         (("--robot-body", "serial"), "--robot-body serial: requires --robot-config FILE"),
         (("--robot-config", "x.yaml"), "--robot-config: unsupported by --robot-body simulator"),
         (("--robot-body", "serial", "--robot-config", "x.yaml"), "x.yaml: no such file or direct"),
+        (
+            ("--robot-body", "seriel", "--robot-config", "x.yaml"),
+            "unsupported by --robot-body seriel",
+        ),
     ],
 )
 def test_up_reports_a_bad_config_before_it_starts(flags: tuple[str, ...], line: str) -> None:

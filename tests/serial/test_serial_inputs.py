@@ -1,10 +1,18 @@
 """The camera and the odometry of a base without ROS."""
 
+import errno
 import json
+import os
+import pty
 import socket
+import struct
+import termios
 import time
-from contextlib import closing
+from collections.abc import Callable
+from contextlib import closing, suppress
+from itertools import chain, repeat
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import cv2
@@ -26,6 +34,7 @@ from tests.serial.fake_base import TICKS_PER_M, TRACK_M
 from tests.serial.rig import FakeBase, Proxy, config_of, until
 
 PACE_S = 1 / 15
+LINK = "services.serial.link"
 
 
 def arrivals_of(*gaps_s: float) -> list[float]:
@@ -170,6 +179,31 @@ def test_body_stands_when_the_picture_repeats_while_it_drives(rig: Rig) -> None:
     assert rig.link.lines[-1] == "v 0.000 0.000\n"
 
 
+def pulses(rig: Rig, count: int) -> None:
+    """Drive in pulses of 0.2 s."""
+    for _ in range(count):
+        for _ in range(11):
+            rig.body.drive(Velocity(1.0, 0.0))
+            rig.now_s += 0.02
+        rig.body.stand()
+        rig.now_s += 10.0
+
+
+def test_body_stands_when_the_picture_repeats_over_pulses(rig: Rig) -> None:
+    rig.camera.repeats = 20
+    pulses(rig, 2)
+    with pytest.raises(ServiceError, match="shows the same picture while the robot drives"):
+        pulses(rig, 1)
+    pulses(rig, 1)  # It is armed, and starts as at first.
+
+
+def test_body_drives_in_pulses_when_pictures_change(rig: Rig) -> None:
+    rig.camera.repeats = 20
+    for _ in range(5):
+        pulses(rig, 1)
+        rig.camera.changed_s = rig.now_s - 9.0
+
+
 @pytest.mark.parametrize("part", ["camera", "link"])
 def test_body_stands_while_an_input_is_missing(rig: Rig, part: str) -> None:
     getattr(rig, part).missing = "unplugged"
@@ -224,15 +258,23 @@ def test_odometry_turns_left_when_the_right_wheel_drives(tmp_path: Path) -> None
     assert reading.heading_rad == pytest.approx(400 / TICKS_PER_M / TRACK_M)
 
 
+def link_of(
+    folder: Path, address: str, take: Callable[[str, float], None] = lambda _line, _at_s: None
+) -> LineLink:
+    """Return a link to an address."""
+    path = folder / "mine.yaml"
+    path.write_text(json.dumps(config_of(FakeCamera, address)))
+    return LineLink(read_config(path), take)
+
+
 def test_link_reaches_a_base_by_udp(tmp_path: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as base:
         base.bind(("127.0.0.1", 0))
         base.settimeout(30.0)
         lines: list[str] = []
         rig = Rig(tmp_path)
-        told = config_of(FakeCamera, f"udp://127.0.0.1:{base.getsockname()[1]}")
-        (tmp_path / "mine.yaml").write_text(json.dumps(told))
-        link = LineLink(read_config(tmp_path / "mine.yaml"), lambda line, _at_s: lines.append(line))
+        address = f"udp://127.0.0.1:{base.getsockname()[1]}"
+        link = link_of(tmp_path, address, lambda line, _at_s: lines.append(line))
         with closing(link):
             until(lambda: link.lacks() is None)
             link.send(rig.config.command(Velocity(1.0, 0.0)))
@@ -242,6 +284,20 @@ def test_link_reaches_a_base_by_udp(tmp_path: Path) -> None:
             until(lambda: lines == ["o 1 2", "o 3 4"])
             # A silent actuator stops the base.
             assert base.recvfrom(100)[0] == b"v 0.000 0.000\n"
+
+
+def test_link_takes_whole_lines_when_much_arrives_at_once(tmp_path: Path) -> None:
+    lines: list[str] = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as base:
+        base.bind(("127.0.0.1", 0))
+        base.settimeout(30.0)
+        address = f"udp://127.0.0.1:{base.getsockname()[1]}"
+        with closing(link_of(tmp_path, address, lambda line, _at_s: lines.append(line))):
+            sender = base.recvfrom(100)[1]
+            for data in (b"o 12345678", b"90 6\n" + b"o 7 8\n" * 681, b"9" * 4000, b"9 9\no 1 2\n"):
+                base.sendto(data, sender)
+            until(lambda: "o 1 2" in lines)
+    assert lines == ["o 1234567890 6", *["o 7 8"] * 681, "o 1 2"]
 
 
 def test_link_drops_a_velocity_when_the_earlier_one_waits(tmp_path: Path) -> None:
@@ -264,6 +320,59 @@ def test_link_drops_a_velocity_when_the_earlier_one_waits(tmp_path: Path) -> Non
 
                 until(stuck)
                 assert "takes no data for 0.25 s" in str(link.lacks())
+
+
+def test_link_ends_with_a_stop_when_earlier_lines_wait(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waiting = chain([0, 70, 35], repeat(0))  # Bytes that have not left a slow serial port.
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as base:
+        base.bind(("127.0.0.1", 0))
+        base.setblocking(False)
+        link = link_of(tmp_path, f"udp://127.0.0.1:{base.getsockname()[1]}")
+        until(lambda: link.lacks() is None)
+        monkeypatch.setattr(f"{LINK}._ON_THEIR_WAY", 1)
+        monkeypatch.setattr(f"{LINK}.fcntl.ioctl", lambda *_: struct.pack("i", next(waiting)))
+        link.send("v 1 1\n")
+        link.close()
+        lines = []
+        with suppress(BlockingIOError):
+            while True:
+                lines.append(base.recv(100))
+    assert lines[-1] == b"v 0.000 0.000\n"
+
+
+def test_link_closes_when_its_thread_hangs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    released = Event()
+    hangs = Event()
+
+    def opened(*_: object) -> None:
+        hangs.set()
+        released.wait()
+        raise TimeoutError
+
+    monkeypatch.setattr(f"{LINK}.opened", opened)
+    monkeypatch.setattr(f"{LINK}._CONNECT_S", 0.1)
+    link = link_of(tmp_path, "tcp://robot:9")
+    hangs.wait()
+    link.close()  # Returns.
+    released.set()
+
+
+def test_link_names_the_fault_when_a_port_has_no_settings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> None:
+        raise termios.error(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("termios.tcsetattr", fails)
+    master, slave = pty.openpty()
+    address = os.ttyname(slave)
+    os.close(slave)
+    with closing(link_of(tmp_path, address)) as link:
+        until(lambda: "not open yet" not in str(link.lacks()))
+        assert link.lacks() == f"{address}: [Errno 5] Input/output error"
+    os.close(master)
 
 
 @pytest.mark.system
