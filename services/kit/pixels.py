@@ -81,8 +81,9 @@ def rgb_of(image: Any) -> Pixels:  # noqa: ANN401 - its class is made of its def
         raise ValueError(
             f"invalid image: {width}x{height} pixels in {image.data.size} bytes, {image.step} per row"
         )
-    if width % 2 and (layout.channels == 2 or layout.rows > 1.0):
-        raise ValueError(f"invalid width {width}: {image.encoding} needs an even number of columns")
+    planar = layout.rows > 1.0
+    if (width % 2 and (layout.channels == 2 or planar)) or (height % 2 and planar):
+        raise ValueError(f"invalid size {width}x{height}: {image.encoding} needs even numbers")
     packed = np.ascontiguousarray(image.data.reshape(rows, image.step)[:, :wide])
     if layout.bits == 16:
         packed = eight_bits(packed.view(">u2" if image.is_bigendian else "<u2"))

@@ -99,6 +99,14 @@ def test_ros_image_keeps_its_colours_in_every_encoding(name: str) -> None:
         assert np.abs(found.astype(int) - expected)[2:-2, 2:-2].mean() < 4.0
 
 
+def test_ros_image_is_refused_when_height_is_odd() -> None:
+    image = SimpleNamespace(
+        width=64, height=47, encoding="nv12", step=64, data=np.zeros(64 * 70, np.uint8)
+    )
+    with pytest.raises(ValueError, match="needs even numbers"):
+        rgb_of(image)
+
+
 def test_image_of_12_bits_is_bright_when_stored_in_16() -> None:
     deep = (PICTURE.astype(np.uint16) << 4) + 3
     np.testing.assert_array_equal(eight_bits(deep), PICTURE)
