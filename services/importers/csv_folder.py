@@ -12,16 +12,16 @@ first is later than its end, the video begins at the first row.
 
 import csv
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import chain
 from typing import Annotated, Final
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from schemas.codec import printable
 from services.importers import layouts
-from services.importers.drive import MOST_SAMPLES, ImportedDrive, ImportFailure, Tally
-from services.importers.images import Row, drive_of, moved
+from services.importers.drive import MOST_SAMPLES, ImportedDrive, ImportFailure, Reads, Tally
+from services.importers.images import Row, drive_of
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
 from services.importers.videos import SUFFIXES, Film
@@ -63,8 +63,8 @@ def found(inside: Inside) -> bool:
     return bool(_tables(inside)) or layouts.found(inside)
 
 
-def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
-    """Read a folder; each episode is a drive."""
+def read(inside: Inside, job: ImportJob, tally: Tally) -> Reads:
+    """Return the reads of the drives of a folder, by episode."""
     names = _tables(inside)
     if not names and layouts.found(inside):
         return layouts.read(inside, job, tally)
@@ -72,32 +72,28 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
         raise ImportFailure(
             f"{inside.path}: {NAME} not found, and {len(names)} CSV files to choose from"
         )
-    return _drives(inside, NAME if NAME in names else names[0], job, tally)
+    return _reads(inside, NAME if NAME in names else names[0], job, tally)
 
 
-def _drives(inside: Inside, name: str, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
+def _reads(inside: Inside, name: str, job: ImportJob, tally: Tally) -> Reads:
+    job.check_used("a table", "rate_hz", "speed", "turn_rate")
     films = [each for each in inside.names() if each.lower().endswith(SUFFIXES)]
     episodes: dict[str, list[Row]] = {}
     arrived: dict[str, bool] = {}
-    for line in _lines(inside, name, job.rate_hz, films, tally):
-        episodes.setdefault(line.episode, []).append(line.row(job))
+    for number, line in enumerate(_lines(inside, name, job.rate_hz, films, tally)):
+        episodes.setdefault(line.episode, []).append(line.row(job)._replace(number=number))
         if line.success is not None:
             arrived[line.episode] = line.success
     every = [row for rows in episodes.values() for row in rows]
     if not every:
         raise ImportFailure(f"{inside.called(name)}: no row has an image, a time and velocities")
-    if every[0].image:
-        return [
-            drive_of(inside, each, rows, tally, success=arrived.get(each))
-            for each, rows in episodes.items()
-        ]
-    film = Film(inside, films[0], np.array([row.time_s for row in every]), tally)
-    return [
-        ImportedDrive.of_rows(
-            each, *film.part(rows), *moved(rows), tally, success=arrived.get(each)
-        )
-        for each, rows in episodes.items()
-    ]
+    shown = None if every[0].image else Film(inside, films[0], list(episodes.values()), tally).part
+
+    def drives(episode: str) -> list[ImportedDrive]:
+        rows = episodes[episode]
+        return [drive_of(inside, episode, rows, tally, shown=shown, success=arrived.get(episode))]
+
+    return {episode: partial(drives, episode) for episode in episodes}
 
 
 def _tables(inside: Inside) -> list[str]:

@@ -39,6 +39,8 @@ class NotAnImage(ValueError):  # noqa: N818 - it is caught and counted, one fram
 Image = Callable[[], bytes]
 Images = Callable[[], Iterator[Image]]
 Rows = Sequence[tuple[float, ...]] | Array
+#: Reads of the drives of a source by their name, or by the start of their names.
+Reads = dict[str, Callable[[], "list[ImportedDrive]"]]
 
 
 @dataclass(frozen=True, eq=False)

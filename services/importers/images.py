@@ -1,6 +1,6 @@
 """Conversion of foreign images to JPEG; upright JPEG files are copied unchanged."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Final, NamedTuple
 
@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from schemas.camera import CompressedImage
 from services.importers.clocks import in_order
 from services.importers.drive import (
+    Array,
     Images,
     ImportedDrive,
     ImportFailure,
     NotAnImage,
-    Rows,
     Tally,
 )
 from services.importers.inside import Inside
-from services.kit.jpeg import encode_jpeg, shrunk
+from services.kit.jpeg import encode_jpeg, jpeg_size, shrunk
 from services.kit.pixels import ENCODINGS, FORMATS, decode_file, is_upright, rgb_of
 
 MOST_BYTES: Final = CompressedImage.max_bytes - 2**16  # Maximum size of an image file, bytes.
@@ -44,10 +44,14 @@ def as_jpeg(data: bytes, tally: Tally, announced: str = "") -> bytes:
     if pixels is None:
         named = f" ({announced[:60]})" if announced else ""
         raise NotAnImage(f"images are damaged, or have a format that OpenCV cannot decode{named}")
-    if form == "JPEG" and is_upright(data):
-        return data if _recorded_width(pixels) == pixels.shape[1] else raw_as_jpeg(pixels)
-    upright = "images are turned upright by their EXIF orientation"
-    tally.count(upright if form == "JPEG" else _CONVERTED.format(form))
+    if form != "JPEG":
+        tally.count(_CONVERTED.format(form))
+    elif not is_upright(data):
+        tally.count("images are turned upright by their EXIF orientation")
+    elif jpeg_size(data) is None:
+        tally.count("images are JPEG of a rare form, encoded again")
+    elif _recorded_width(pixels) == pixels.shape[1]:
+        return data
     return raw_as_jpeg(pixels)
 
 
@@ -64,7 +68,7 @@ def ros_as_jpeg(image: Any, tally: Tally) -> bytes:  # noqa: ANN401 - its class 
     try:
         pixels = rgb_of(image)
     except ValueError:
-        raise NotAnImage("images are damaged") from None
+        raise NotAnImage("images are damaged, or their size does not fit their encoding") from None
     tally.count(_CONVERTED.format(image.encoding))
     return raw_as_jpeg(pixels)
 
@@ -91,6 +95,10 @@ class Row(NamedTuple):
     time_s: float
     velocity: tuple[float, float] | None
     pose: tuple[float, float, float] | None = None
+    number: int = 0  # Position in the table.
+
+
+Shown = Callable[[Sequence[Row]], tuple[Array, Images]]
 
 
 def drive_of(
@@ -99,31 +107,33 @@ def drive_of(
     rows: Sequence[Row],
     tally: Tally,
     *,
+    shown: Shown | None = None,
     success: bool | None = None,
     metric: bool = True,
 ) -> ImportedDrive:
-    """Create a drive from its frames; raise ImportFailure if the frame rate is implausible."""
+    """Create a drive from its frames; raise ImportFailure if the frame rate is implausible.
+
+    The images are the files of the rows, or, with their times, those that ``shown`` returns.
+    """
     times_s = in_order(np.array([row.time_s for row in rows]), tally)
     rows = [rows[at]._replace(time_s=times_s[at]) for at in np.argsort(times_s, kind="stable")]
-    times_s = np.sort(times_s)
-    usual_s = float(np.median(np.diff(times_s))) if len(rows) > 1 else 1.0
+    if shown is None:
+        times_s = np.sort(times_s)
+        images = files([row.image for row in rows], inside, tally)
+    else:
+        times_s, images = shown(rows)
+    usual_s = float(np.median(np.diff(times_s))) if times_s.size > 1 else 1.0
     if usual_s * _FASTEST_HZ < 1.0:
         said = f"{1.0 / usual_s:.0f} frames per second" if usual_s > 0.0 else "all frames at once"
         raise ImportFailure(
             f"{inside.path}: invalid times ({said}), as in a copied data set; give the frame "
             "rate with --rate, for example --rate 20"
         )
-    images = files([row.image for row in rows], inside, tally)
-    return ImportedDrive.of_rows(
-        name, times_s, images, *moved(rows), tally, success=success, metric=metric
-    )
-
-
-def moved(rows: Sequence[Row]) -> tuple[Rows, Rows]:
-    """Return the motion and the track of frames."""
     motion = [(row.time_s, *row.velocity) for row in rows if row.velocity is not None]
     track = [(row.time_s, *row.pose) for row in rows if row.pose is not None]
-    return motion, track
+    return ImportedDrive.of_rows(
+        name, times_s, images, motion, track, tally, success=success, metric=metric
+    )
 
 
 def files(names: Sequence[str], inside: Inside, tally: Tally) -> Images:

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from schemas.base import STILL, TURNING, RobotId, Strict
 from schemas.episode import GoalName
+from services.importers.drive import ImportFailure
 from services.importers.ticks import QUANTILE
 from services.kit.errors import UsageError
 
@@ -20,6 +21,15 @@ _PACKAGES: Final[dict[Format, tuple[str, ...]]] = {
     "rosbag2": ("rosbags",),
     "rosbag1": ("rosbags",),
     "lerobot": ("pyarrow", "av"),
+}
+#: Options that some kinds of sources use.
+_OPTIONS: Final = {
+    "camera": "--camera",
+    "velocity": "--velocity",
+    "odometry": "--odometry",
+    "rate_hz": "--rate",
+    "speed": "--speed",
+    "turn_rate": "--turn-rate",
 }
 _Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
 _Rate = Annotated[float, Field(gt=0.0, le=1000.0)]
@@ -49,6 +59,12 @@ class ImportJob(Strict):
     speed: _Rate | None = None
     turn_rate: _Rate | None = None
     episodes: tuple[str, ...] = ()
+
+    def check_used(self, source: str, *used: str) -> None:
+        """Raise ImportFailure if an option is set that has no effect on a kind of source."""
+        for name, option in _OPTIONS.items():
+            if name not in used and getattr(self, name) is not None:
+                raise ImportFailure(f"{option} has no effect on {source}; omit it")
 
 
 OdometryOrigin = Literal["of the source", "computed from velocities", "none"]

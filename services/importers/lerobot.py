@@ -17,6 +17,7 @@ from services.importers.drive import (
     ImportedDrive,
     ImportFailure,
     NotAnImage,
+    Reads,
     Tally,
 )
 from services.importers.images import as_jpeg
@@ -84,7 +85,7 @@ class _Info(BaseModel):
     features: dict[str, _Feature]
 
     def names(self, feature: str) -> list[str]:
-        """Return the names of a feature's numbers, or () if there is no such feature."""
+        """Return the names of a feature's numbers; [] if there is no such feature."""
         return self.features[feature].names if feature in self.features else []
 
 
@@ -121,19 +122,17 @@ def found(inside: Inside) -> bool:
     return INFO.rpartition("/")[2] in inside.names(INFO.rpartition("/")[0])
 
 
-def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
-    """Read a data set; each of its episodes is a drive."""
+def read(inside: Inside, job: ImportJob, tally: Tally) -> Reads:
+    """Return the reads of the episodes of a data set; each is a drive."""
+    job.check_used("a LeRobotDataset", "camera", "velocity", "speed", "turn_rate")
     dataset = _DataSet(inside, job, tally)
-    asked = [
-        one for one in dataset.episodes() if not job.episodes or str(one.number) in job.episodes
-    ]
-    once = {episode.number: episode for episode in asked}
-    tally.count("episodes are described again (read once)", len(asked) - len(once))
-    drives = [dataset.drive(episode) for episode in once.values()]
+    every = list(dataset.episodes())
+    reads = {str(episode.number): partial(dataset.drives, episode) for episode in every}
+    tally.count("episodes are described again (read once)", len(every) - len(reads))
     announced = dataset.info.total_episodes
-    if not job.episodes and announced != len(drives):
-        tally.say(f"{INFO} announces {printable(str(announced))} episodes, there are {len(drives)}")
-    return drives
+    if announced != len(reads):
+        tally.say(f"{INFO} announces {printable(str(announced))} episodes, there are {len(reads)}")
+    return dict(reads)
 
 
 class _DataSet:
@@ -193,7 +192,7 @@ class _DataSet:
         )
         return _Episode(int(number), int(length), data, video, begin_s)
 
-    def drive(self, episode: _Episode) -> ImportedDrive:
+    def drives(self, episode: _Episode) -> list[ImportedDrive]:
         where = self._velocity
         found = self._columns_of(episode)
         times_s = found["timestamp"].ravel()
@@ -210,7 +209,7 @@ class _DataSet:
         if self._pose:
             poses = self._part(episode, found[STATE], STATE, self._pose)
             track = np.column_stack([times_s[: len(poses)], poses])
-        return ImportedDrive.of_rows(
+        drive = ImportedDrive.of_rows(
             str(episode.number),
             times_s,
             partial(self._video if episode.video else self._embedded, episode, times_s),
@@ -219,6 +218,7 @@ class _DataSet:
             self._tally,
             success=bool(found[SUCCESS].any()) if SUCCESS in found else None,
         )
+        return [drive]
 
     def _columns_of(self, episode: _Episode) -> dict[str, Array]:
         """Return the rows of an episode by the features that are read."""
@@ -262,7 +262,8 @@ def _camera(info: _Info, job: ImportJob, called: str) -> str:
 
 def _velocity(info: _Info, job: ImportJob, called: str) -> _Velocity:
     # The command describes the driver better than the movement that follows.
-    for feature in dict.fromkeys([ACTION, STATE, *info.features]):
+    numbers = [key for key, feature in info.features.items() if feature.dtype not in _SEEN]
+    for feature in sorted(numbers, key=lambda key: (key != ACTION, key != STATE)):
         names = [_plain(name) for name in info.names(feature)]
         linear, angular = _pair(names, job.velocity)
         if linear is None or angular is None:
@@ -277,7 +278,6 @@ def _velocity(info: _Info, job: ImportJob, called: str) -> _Velocity:
             job.speed or 1.0,
             job.turn_rate or radians,
         )
-    numbers = (key for key, feature in info.features.items() if feature.dtype not in _SEEN)
     named = (f"{key}: {', '.join(info.names(key)) or 'no names'}" for key in numbers)
     raise ImportFailure(
         f"{called}: no linear and angular velocity of a base in {printable('; '.join(named))[:300]};"

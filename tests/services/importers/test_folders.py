@@ -164,6 +164,14 @@ def test_layout_is_refused_when_it_has_no_poses(tmp_path: Path) -> None:
         imported(folder, "folder", tmp_path / "out")
 
 
+def test_layout_is_refused_when_its_clocks_differ(tmp_path: Path) -> None:
+    folder = tum(tmp_path / "set", OPTICAL)
+    poses = (folder / "groundtruth.txt").read_text()
+    (folder / "groundtruth.txt").write_text(poses.replace("\n17000000", "\n18000000"))
+    with pytest.raises(ImportFailure, match=r"no image at the times of the poses \(1800000000.0"):
+        imported(folder, "folder", tmp_path / "out")
+
+
 def test_heading_is_the_movement_when_a_pose_never_turns() -> None:
     angle = np.linspace(0.0, np.pi, 200)
     still = np.tile([0.0, 0.0, 0.0, 1.0], (200, 1))
@@ -275,4 +283,33 @@ def test_table_without_images_wants_one_video(tmp_path: Path) -> None:
     folder = film(tmp_path / "set")
     (folder / "drive.mp4").unlink()
     with pytest.raises(ImportFailure, match=r"lacks the columns image; it has time_s, note, lin"):
+        imported(folder, "folder", tmp_path / "out")
+
+
+def film_of_two(folder: Path, frames: int) -> Path:
+    """Write a video of two drives whose times both begin at 0."""
+    film(folder)
+    head, *lines = (folder / "drive.csv").read_text().splitlines()
+    counted = [
+        ",".join([f"{0.05 * at:.2f}", *line.split(",")[1:]]) for at, line in enumerate(lines)
+    ]
+    rows = [f"{line},{episode}" for episode in "ab" for line in counted]
+    (folder / "drive.csv").write_text("\n".join([f"{head},episode", *rows]))
+    images = [moment.image for moment in sources.drive(20.0)]
+    sources.mp4(folder / "drive.mp4", (images * 2)[:frames], 20)
+    return folder
+
+
+def test_video_of_two_drives_gives_each_its_frames(tmp_path: Path) -> None:
+    folder = film_of_two(tmp_path / "set", 2 * len(sources.drive(20.0)))
+    report, _ = imported(folder, "folder", tmp_path / "out")
+    first, second = (episode_of(file) for file in report.files)
+    check_drive(first, blurred=3)
+    check_drive(second, blurred=3)
+    assert bytes(first.images[0]) != bytes(second.images[0])
+
+
+def test_video_is_refused_when_episodes_overlap(tmp_path: Path) -> None:
+    folder = film_of_two(tmp_path / "set", 100)
+    with pytest.raises(ImportFailure, match="episodes overlap in time"):
         imported(folder, "folder", tmp_path / "out")
