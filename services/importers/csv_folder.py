@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from schemas.codec import printable
 from services.importers import layouts
-from services.importers.drive import MOST_SAMPLES, ImportedDrive, ImportFailure, Reads, Tally
+from services.importers.drive import MOST_SAMPLES, POSE, ImportedDrive, ImportFailure, Reads, Tally
 from services.importers.images import Row, drive_of
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
@@ -28,7 +28,6 @@ from services.importers.videos import SUFFIXES, Film
 
 NAME: Final = "drive.csv"
 VELOCITY: Final = ("linear_m_s", "angular_rad_s")
-POSE: Final = ("x_m", "y_m", "heading_rad")
 COLUMNS: Final = ("episode", "image", "time_s", *VELOCITY, "success", *POSE)
 _TEXTS: Final = ("episode", "image")
 
@@ -123,12 +122,12 @@ def _lines(
 
 def _line(values: dict[str, str], needed: set[str], time_s: float | None) -> _Line | None:
     """Parse a row of the table; return None if it is incomplete."""
-    told = {column: values[column] for column in COLUMNS if values.get(column)}
+    filled = {column: values[column] for column in COLUMNS if values.get(column)}
     # A spreadsheet in Europe writes 0,5 for 0.5.
-    told |= {key: told[key].replace(",", ".") for key in told if key not in _TEXTS}
-    told |= {} if time_s is None else {"time_s": str(time_s)}
+    filled |= {key: filled[key].replace(",", ".") for key in filled if key not in _TEXTS}
+    filled |= {} if time_s is None else {"time_s": str(time_s)}
     try:
-        return _Line.model_validate(told) if needed <= told.keys() else None
+        return _Line.model_validate(filled) if needed <= filled.keys() else None
     except ValidationError:
         return None
 

@@ -124,9 +124,9 @@ def drive_of(
         times_s, images = shown(rows)
     usual_s = float(np.median(np.diff(times_s))) if times_s.size > 1 else 1.0
     if usual_s * _FASTEST_HZ < 1.0:
-        said = f"{1.0 / usual_s:.0f} frames per second" if usual_s > 0.0 else "all frames at once"
+        rate = f"{1.0 / usual_s:.0f} frames per second" if usual_s > 0.0 else "all frames at once"
         raise ImportFailure(
-            f"{inside.path}: invalid times ({said}), as in a copied data set; give the frame "
+            f"{inside.path}: invalid times ({rate}), as in a copied data set; give the frame "
             "rate with --rate, for example --rate 20"
         )
     motion = [(row.time_s, *row.velocity) for row in rows if row.velocity is not None]

@@ -49,10 +49,9 @@ class Inside:
         try:
             yield
         except OutsideError:
-            said = (
+            raise ImportFailure(
                 f"{self.called(name)} leads out of {self.path}; copy links as files first (cp -rL)"
-            )
-            raise ImportFailure(said) from None
+            ) from None
         except (OSError, ValueError) as error:
             why = getattr(error, "strerror", None) or "no file name"
             raise ImportFailure(f"{self.called(name)}: {why}") from None

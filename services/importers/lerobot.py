@@ -12,6 +12,7 @@ from pydantic import BaseModel, BeforeValidator, Field, JsonValue, NonNegativeIn
 from schemas.codec import printable
 from services.importers.drive import (
     MOST_SAMPLES,
+    POSE,
     Array,
     Image,
     ImportedDrive,
@@ -23,6 +24,7 @@ from services.importers.drive import (
 from services.importers.images import as_jpeg
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
+from services.importers.ticks import LEAST_LINEAR
 from services.importers.videos import frames_at
 
 #: Metres and radians per second, and the pose by odometry, in our own data sets.
@@ -30,7 +32,6 @@ VELOCITIES: Final = ("linear_velocity", "angular_velocity")
 ACTION = "action"
 STATE = "observation.state"
 SUCCESS = "next.success"
-POSE: Final = ("x_m", "y_m", "heading_rad")
 #: Last parts of the names of velocities, the usual ones first.
 _LINEAR: Final = (
     "x_vel", "linear_velocity", "linear_vel", "linear_x", "linear", "vx", "vel_x",
@@ -42,7 +43,6 @@ _ANGULAR: Final = (
 _SEEN: Final = ("video", "image")  # Types of features.
 _SIDEWAYS: Final = ("y_vel", "linear_y", "vy", "vel_y")
 _DEGREES: Final = "theta_vel"  # Of LeKiwi, in degrees a second.
-_LEAST_SIDEWAYS: Final = 0.02  # Slower sideways movement is measurement noise, as in `ticks` ahead.
 _LINES: Final = "meta/episodes.jsonl"  # Files of version 2.
 _DATA_V2: Final = "data/chunk-{0:03d}/episode_{1:06d}.parquet"
 _VIDEO_V2: Final = "videos/chunk-{0:03d}/{2}/episode_{1:06d}.mp4"
@@ -151,10 +151,10 @@ class _DataSet:
 
     def _of_lines(self) -> Iterator[_Episode]:
         for line in self._inside.lines(_LINES):
-            told = self._inside.parsed(_Line, line, _LINES)
-            at = told.episode_index // self.info.chunks_size, told.episode_index, self._camera
+            entry = self._inside.parsed(_Line, line, _LINES)
+            at = entry.episode_index // self.info.chunks_size, entry.episode_index, self._camera
             video = _VIDEO_V2.format(*at) if self._filmed else ""
-            yield _Episode(told.episode_index, told.length, _DATA_V2.format(*at), video)
+            yield _Episode(entry.episode_index, entry.length, _DATA_V2.format(*at), video)
 
     def _of_tables(self) -> Iterator[_Episode]:
         for name in self._tables():
@@ -203,7 +203,7 @@ class _DataSet:
         moved = self._part(
             episode, found[where.feature], where.feature, [where.linear, where.angular, *sideways]
         )
-        aside = np.abs(moved[:, 2:]) > _LEAST_SIDEWAYS
+        aside = np.abs(moved[:, 2:]) > LEAST_LINEAR
         self._tally.count("frames go sideways, without a matching action", int(aside.sum()))
         track = np.zeros((0, 1 + len(POSE)))
         if self._pose:

@@ -158,13 +158,13 @@ def work(request: Any, child: Work) -> dict[str, Any]:  # noqa: ANN401 - JSON
     job = ImportJob.model_validate_json(json.dumps(request))
     tally = Tally()
     done = 0
-    told_s = 0.0
+    reported_s = 0.0
 
     def advance(total: int) -> None:
-        nonlocal done, told_s
+        nonlocal done, reported_s
         done += 1
-        if time.monotonic() - told_s >= _PERIOD_S:
-            told_s = time.monotonic()
+        if time.monotonic() - reported_s >= _PERIOD_S:
+            reported_s = time.monotonic()
             child.tell({"done": done, "total": max(total, done)})
 
     try:

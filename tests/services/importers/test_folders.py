@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from services.importers.drive import ImportFailure, Tally
 from services.importers.ticks import motion_along
 from services.importers.trajectory import track_of
+from smal.movement import wrapped
 from tests.services.importers import sources
 from tests.services.importers.test_formats import check_drive, episode_of, imported
 
@@ -182,6 +183,16 @@ def test_heading_is_the_movement_when_a_pose_never_turns() -> None:
     motion = motion_along(track)
     assert motion[:, 1] == pytest.approx(1.0, abs=0.1)
     assert "orientations do not turn with the robot" in tally.lines()[0]
+
+
+def test_heading_is_kept_when_a_third_is_reversed() -> None:
+    angle = np.concatenate([np.linspace(0.0, 1.0, 200), np.linspace(1.0, 0.5, 100)])
+    turns = Rotation.from_euler("z", angle[:, None] + 2.0).as_quat()
+    places = np.column_stack([4.0 * np.sin(angle), 4.0 - 4.0 * np.cos(angle), 0.0 * angle])
+    tally = Tally()
+    track = track_of(np.column_stack([np.arange(300) / 20.0, places, turns]), tally)
+    assert np.abs(wrapped(track[:, 3] - angle)).max() < 0.1
+    assert not tally.lines()
 
 
 def written_table(
