@@ -19,7 +19,7 @@ from services.importers.drive import (
 )
 from services.importers.inside import Inside
 from services.kit.jpeg import encode_jpeg, jpeg_size, shrunk
-from services.kit.pixels import ENCODINGS, FORMATS, decode_file, is_upright, rgb_of
+from services.kit.pixels import ENCODINGS, FORMATS, Depth, decode_file, is_upright, rgb_of
 
 MOST_BYTES: Final = CompressedImage.max_bytes - 2**16  # Maximum size of an image file, bytes.
 _MOST: Final = (4096, 3072)  # Maximum columns and rows of a recorded image.
@@ -32,7 +32,7 @@ _PNG: Final = b"\x89PNG"
 _DEPTH_HEADER: Final = 12  # Bytes before the PNG of a depth image that ROS compressed.
 
 
-def as_jpeg(data: bytes, tally: Tally, announced: str = "") -> bytes:
+def as_jpeg(data: bytes, tally: Tally, depth: Depth, announced: str = "") -> bytes:
     """Return an image file as an upright JPEG; raises `NotAnImage` if it does not decode.
 
     The source can announce a format; the content decides.
@@ -40,7 +40,7 @@ def as_jpeg(data: bytes, tally: Tally, announced: str = "") -> bytes:
     if len(data) > MOST_BYTES:
         raise NotAnImage("images are larger than 16 MiB")
     form = next((name for start, name in FORMATS.items() if data.startswith(start)), "other")
-    pixels = decode_file(data)
+    pixels = decode_file(data, depth)
     if pixels is None:
         named = f" ({announced[:60]})" if announced else ""
         raise NotAnImage(f"images are damaged, or have a format that OpenCV cannot decode{named}")
@@ -55,18 +55,22 @@ def as_jpeg(data: bytes, tally: Tally, announced: str = "") -> bytes:
     return raw_as_jpeg(pixels)
 
 
-def ros_as_jpeg(image: Any, tally: Tally) -> bytes:  # noqa: ANN401 - its class is made of its definition
+def ros_as_jpeg(
+    image: Any,  # noqa: ANN401 - its class is made of its definition
+    tally: Tally,
+    depth: Depth,
+) -> bytes:
     """Return a `CompressedImage` or an `Image` of ROS as JPEG; raises `NotAnImage` if invalid."""
     if hasattr(image, "format"):
         data = bytes(image.data)
         if data.startswith(_PNG, _DEPTH_HEADER):
             tally.say("images show depth (compressedDepth); choose the colour images with --camera")
             data = data[_DEPTH_HEADER:]
-        return as_jpeg(data, tally, image.format)
+        return as_jpeg(data, tally, depth, image.format)
     if image.encoding not in ENCODINGS:
         raise NotAnImage(f"images have the unsupported encoding {image.encoding or '(empty)'}")
     try:
-        pixels = rgb_of(image)
+        pixels = rgb_of(image, depth)
     except ValueError:
         raise NotAnImage("images are damaged, or their size does not fit their encoding") from None
     tally.count(_CONVERTED.format(image.encoding))
@@ -138,12 +142,13 @@ def drive_of(
 
 def files(names: Sequence[str], inside: Inside, tally: Tally) -> Images:
     """Return the image files of a folder as JPEG."""
-    return lambda: (partial(_image, inside, name, tally) for name in names)
+    depth = Depth()
+    return lambda: (partial(_image, inside, name, tally, depth) for name in names)
 
 
-def _image(inside: Inside, name: str, tally: Tally) -> bytes:
+def _image(inside: Inside, name: str, tally: Tally, depth: Depth) -> bytes:
     try:
-        return as_jpeg(inside.read(inside.spelled(name), MOST_BYTES), tally)
+        return as_jpeg(inside.read(inside.spelled(name), MOST_BYTES), tally, depth)
     except ImportFailure as error:
         # One remark names the reason.
         if not tally.counts[_UNREAD]:

@@ -26,6 +26,7 @@ from services.importers.inside import Inside
 from services.importers.job import ImportJob
 from services.importers.ticks import LEAST_LINEAR
 from services.importers.videos import frames_at
+from services.kit.pixels import Depth
 
 #: Metres and radians per second, and the pose by odometry, in our own data sets.
 VELOCITIES: Final = ("linear_velocity", "angular_velocity")
@@ -139,6 +140,7 @@ class _DataSet:
     def __init__(self, inside: Inside, job: ImportJob, tally: Tally) -> None:
         self._inside = inside
         self._tally = tally
+        self._depth = Depth()
         self.info = inside.parsed(_Info, inside.read(INFO), INFO)
         self._camera = _camera(self.info, job, inside.called(INFO))
         self._velocity = _velocity(self.info, job, inside.called(INFO))
@@ -247,7 +249,10 @@ class _DataSet:
 
     def _embedded(self, episode: _Episode, _times_s: Array) -> Iterator[Image]:
         for batch in _batches(self._inside, episode.data, [self._camera], episode.number, _IMAGES):
-            yield from (partial(_cell, cell, self._tally) for cell in batch.column(self._camera))
+            yield from (
+                partial(_cell, cell, self._tally, self._depth)
+                for cell in batch.column(self._camera)
+            )
 
 
 def _camera(info: _Info, job: ImportJob, called: str) -> str:
@@ -313,12 +318,12 @@ def _plain(name: str) -> str:
     return re.sub(r"[.\s/_]+", "_", name.strip().lower())
 
 
-def _cell(cell: Any, tally: Tally) -> bytes:  # noqa: ANN401 - of a package without types
+def _cell(cell: Any, tally: Tally, depth: Depth) -> bytes:  # noqa: ANN401 - of a package without types
     value = cell.as_py()
     data = value.get("bytes") if isinstance(value, dict) else value
     if not isinstance(data, bytes):
         raise NotAnImage("images are not in the Parquet file")
-    return as_jpeg(data, tally)
+    return as_jpeg(data, tally, depth)
 
 
 def _batches(

@@ -17,6 +17,7 @@ from services.importers.images import ros_as_jpeg
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
 from services.importers.topics import Topics
+from services.kit.pixels import Depth
 
 #: Largest number of images that wait for an image before them: two seconds at 60 Hz.
 _MOST_WAITING: Final = 120
@@ -52,7 +53,7 @@ def _drives(
     drive = ImportedDrive.of_rows(
         name,
         images.times_s,
-        partial(_images, inside, files, images.numbers, tally),
+        partial(_images, inside, files, images.numbers, tally, Depth()),
         velocity.reported * scale,
         [] if odometry is None else odometry.track,
         tally,
@@ -63,7 +64,7 @@ def _drives(
 
 
 def _images(
-    inside: Inside, files: list[str], numbers: NDArray[np.int64], tally: Tally
+    inside: Inside, files: list[str], numbers: NDArray[np.int64], tally: Tally, depth: Depth
 ) -> Iterator[Image]:
     """Yield the images with these numbers of messages, in this order."""
     wanted = set(numbers.tolist())
@@ -73,7 +74,7 @@ def _images(
     for number, message in enumerate(received(inside, files, Tally())):
         if number not in wanted:
             continue
-        waiting[number] = partial(_image, message, tally)
+        waiting[number] = partial(_image, message, tally, depth)
         if len(waiting) > _MOST_WAITING:
             raise ImportFailure(
                 f"{inside.path}: an image is more than {_MOST_WAITING} images late; "
@@ -84,9 +85,9 @@ def _images(
             first = next(due, None)
 
 
-def _image(message: Received, tally: Tally) -> bytes:
+def _image(message: Received, tally: Tally, depth: Depth) -> bytes:
     try:
         image = decoded(message)
     except ValueError:
         raise NotAnImage("images are damaged") from None
-    return ros_as_jpeg(image, tally)
+    return ros_as_jpeg(image, tally, depth)
