@@ -18,11 +18,10 @@ from typing import Annotated, Final, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, JsonValue, RootModel
 
-from schemas.codec import printable
 from services.importers.drive import MOST_SAMPLES, ImportedDrive, ImportFailure, Reads, Tally
 from services.importers.images import Row, drive_of
 from services.importers.inside import Inside
-from services.importers.job import ImportJob
+from services.importers.job import ImportJob, choose
 
 _Whole = Annotated[int, Field(ge=0, le=2**53)]
 _Values = dict[str, JsonValue]
@@ -197,8 +196,9 @@ def _fields(meta: _Meta, job: ImportJob, called: str) -> tuple[str, str, str]:
         ("steering", steering.strip(), _ending(meta.inputs, ("angle", "steering"))),
         ("throttle", throttle.strip(), _ending(meta.inputs, ("throttle",))),
     )
+    how = "--camera IMAGE and --velocity STEERING,THROTTLE"
     image, angle, throttle = (
-        _field(f"{called}: {what}", wish, found, meta.inputs) for what, wish, found in wanted
+        choose(f"{called}: {what}", wish, found, meta.inputs, how) for what, wish, found in wanted
     )
     return image, angle, throttle
 
@@ -209,18 +209,6 @@ def _ending(inputs: Sequence[str], endings: Sequence[str]) -> list[str]:
     return [name for name in found if name.startswith("user/")] or [
         name for name in found if not name.startswith("pilot/")
     ]
-
-
-def _field(what: str, wish: str, found: Sequence[str], inputs: Sequence[str]) -> str:
-    """Return the requested field, or the only one."""
-    chosen = [wish] if wish else found
-    if len(chosen) == 1 and chosen[0] in inputs:
-        return chosen[0]
-    wrong = f"field {wish} not found" if wish else f"{len(found)} fields found"
-    raise ImportFailure(
-        f"{what}: {wrong}; choose from {printable(', '.join(inputs))[:300] or 'none'} with "
-        "--camera IMAGE and --velocity STEERING,THROTTLE"
-    )
 
 
 def _record(

@@ -7,6 +7,7 @@ from typing import Annotated, Final, Literal, get_args
 from pydantic import Field
 
 from schemas.base import STILL, TURNING, RobotId, Strict
+from schemas.codec import printable
 from schemas.episode import GoalName
 from services.importers.drive import ImportFailure
 from services.importers.ticks import QUANTILE
@@ -81,6 +82,18 @@ class ImportReport(Strict):
     turn_rate: float
     metric: bool  # Whether these are metres and radians per second; otherwise units of the source.
     atoms: dict[str, int]
+
+
+def choose(
+    what: str, wish: str | None, usual: Sequence[str], known: Sequence[str], how: str
+) -> str:
+    """Return the requested name, or else the only usual name; ImportFailure otherwise."""
+    names = [wish] if wish else usual
+    if len(names) == 1 and names[0] in known:
+        return names[0]
+    wrong = f"{wish} not found" if wish else f"{len(usual)} found"
+    named = printable(", ".join(known), 300) or "none"
+    raise ImportFailure(f"{what}: {wrong}; choose from {named} with {how}")
 
 
 def missing_packages(form: Format) -> list[str]:

@@ -19,7 +19,7 @@ from schemas.codec import printable
 from services.importers.drive import Array, ImportedDrive, ImportFailure, Reads, Tally
 from services.importers.images import files
 from services.importers.inside import Inside
-from services.importers.job import ImportJob
+from services.importers.job import ImportJob, choose
 from services.importers.trajectory import track_of
 
 _RGB: Final = "rgb"
@@ -164,14 +164,8 @@ def _camera(inside: Inside, folder: str, start: str, job: ImportJob) -> str:
     """Return the requested folder of images, or the usual one: the left colour camera of KITTI."""
     cameras = [name for name in inside.names(folder) if name.startswith(start)]
     usual = [name for name in cameras if name in ("image_2", "image_02", "cam0")] or cameras
-    wanted = job.camera or [*usual, ""][0]
-    if wanted not in cameras:
-        named = printable(", ".join(cameras)) or "none"
-        raise ImportFailure(
-            f"{inside.called(folder)}: camera {wanted or start} not found; choose from {named} "
-            "with --camera"
-        )
-    return wanted
+    what = f"{inside.called(folder)}: camera {start}"
+    return choose(what, job.camera, usual[:1], cameras, "--camera")
 
 
 def _drive(

@@ -23,7 +23,7 @@ from services.importers.drive import (
 )
 from services.importers.images import as_jpeg
 from services.importers.inside import Inside
-from services.importers.job import ImportJob
+from services.importers.job import ImportJob, choose
 from services.importers.ticks import LEAST_LINEAR
 from services.importers.videos import frames_at
 from services.kit.pixels import Depth
@@ -257,12 +257,7 @@ class _DataSet:
 
 def _camera(info: _Info, job: ImportJob, called: str) -> str:
     cameras = [key for key, feature in info.features.items() if feature.dtype in _SEEN]
-    named = ", ".join(map(printable, cameras)) or "none"
-    if job.camera is not None and job.camera not in cameras:
-        raise ImportFailure(f"{called}: camera {job.camera} not found; choose from {named}")
-    if job.camera is None and len(cameras) != 1:
-        raise ImportFailure(f"{called}: {len(cameras)} cameras ({named}); choose one with --camera")
-    return job.camera or cameras[0]
+    return choose(f"{called}: camera", job.camera, cameras, cameras, "--camera")
 
 
 def _velocity(info: _Info, job: ImportJob, called: str) -> _Velocity:

@@ -367,7 +367,7 @@ def test_fields_of_a_tub_are_those_of_its_manifest(tmp_path: Path) -> None:
     check_drive(episode_of(imported(tub, "donkeycar", tmp_path / "out")[0]))
     for file in tub.glob("*.*"):
         file.write_text(file.read_text().replace("steering", "wheel"))
-    with pytest.raises(ImportFailure, match="steering: 0 fields found; choose from eye, wheel, th"):
+    with pytest.raises(ImportFailure, match="steering: 0 found; choose from eye, wheel, th"):
         imported(tub, "donkeycar", tmp_path / "out")
     named = imported(tub, "donkeycar", tmp_path / "named", velocity="wheel, throttle")
     check_drive(episode_of(named[0]))

@@ -259,7 +259,7 @@ def test_import_counts_invalid_numbers_of_a_tub(field: str, tmp_path: Path) -> N
             '"elbow"',
             "no linear and angular velocity of a base in action: arm_wrist.pos, x.vel",
         ),
-        ('"video"', '"float32"', "0 cameras (none)"),
+        ('"video"', '"float32"', "camera: 0 found; choose from none"),
         ('"features"', '"feature"', "features: Field required"),
         (f'"{CAMERA}"', '"../../../../secret"', "lacks the column"),
         (f'"{CAMERA}"', '"{0.__class__}"', "lacks the column"),
