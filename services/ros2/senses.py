@@ -314,7 +314,7 @@ def _check_finite(what: str, values: tuple[float, ...], most: float) -> None:
         raise MessageError(f"invalid {what}: must be finite and at most {most:g}")
 
 
-def picture(message: RosMessage, depth: Depth) -> bytes:
+def picture(message: RosMessage, depth: Depth | None = None) -> bytes:
     """Return a message's image as JPEG; MessageError if it is invalid."""
     try:
         if hasattr(message, "format"):
