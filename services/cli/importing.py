@@ -119,9 +119,9 @@ def import_recordings(
     """Convert recordings of other software for `smal learn`.
 
     rosbag2, rosbag1: a bag of ROS 2 (MCAP or SQLite) or ROS 1 with images and Twist, TwistStamped,
-    Odometry or poses. Topics that fit the images are chosen and reported. A bag is one drive;
-    import several bags into one OUT one by one. lerobot: a LeRobotDataset (v2.0, v2.1, v3.0) of a
-    mobile base. donkeycar: a tub of version 1 or 2, or a folder of tubs. folder: images,
+    Odometry or poses. Topics that fit the images are chosen and reported. Each bag of a folder is a
+    drive, also in the folders below it. lerobot: a LeRobotDataset (v2.0, v2.1, v3.0) of a mobile
+    base. donkeycar: a tub of version 1 or 2, or a folder of tubs. folder: images,
     or one video, and a drive.csv with the columns image (without a video), time_s, linear_m_s,
     angular_rad_s (optional: episode, success, x_m, y_m, heading_rad; these poses can replace the
     velocities); or a data set in the layout of TUM, KITTI or EuRoC with poses.
@@ -129,7 +129,8 @@ def import_recordings(
     Drives count as successful unless the source or --failed says otherwise. --velocity is the topic
     of a bag, LINEAR,ANGULAR of LeRobot (names or numbers), or STEERING,THROTTLE of a tub. A speed
     of 1 means 1 m/s (donkeycar: unknown). A turn rate of 1 means 1 rad/s (theta.vel: 1 degree/s).
-    --rate replaces wrong times of a source.
+    --rate replaces wrong times of a tub or a table. An option without effect on a source is an
+    error. A drive that cannot be read is left out and reported if others can be read.
 
     Recordings have 10 frames per second at any source rate. Velocities become the actions forward,
     backward, left, right and stop; --still and --turning set the limits as fractions of the robot's

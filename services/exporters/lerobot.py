@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 from schemas.base import TICK_S
 from schemas.motion import Odometry
 from services.exporters.drives import ExportedDrive, Moment, say_view
-from services.importers.drive import Tally
+from services.importers.drive import POSE, Tally
 from services.importers.lerobot import (
     ACTION,
     DATA,
     EPISODES,
     INFO,
-    POSE,
     STATE,
     SUCCESS,
     VELOCITIES,

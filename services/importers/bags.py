@@ -1,6 +1,6 @@
 """Messages of a bag: ROS 2 (MCAP or SQLite) or ROS 1, a folder or a file.
 
-Types are those of ROS, not the definitions in a bag. Our own MCAP reader tolerates damage.
+Types are those of ROS, not the definitions in a bag. Our MCAP reader tolerates a missing end.
 """
 
 import re
@@ -27,7 +27,7 @@ _ZSTD: Final = b"\x28\xb5\x2f\xfd"
 _MOST_BYTES: Final = 4 * 4096 * 3072 + 2**20
 #: Bytes of a row beside its blob: two lengths, and a header of at least three columns.
 _LEAST_ROW: Final = 6
-_FILE: Final = re.compile(r"(?P<bag>.+?)(_(?P<part>\d{1,9}))?\.(mcap|db3|bag)", re.DOTALL)
+_STEM: Final = re.compile(r"(?P<bag>.+?)(_(?P<part>\d{1,9}))?", re.DOTALL)
 #: Bytes before the text of a header's frame, in the messages of both ROS versions.
 _FRAME_AT: Final = 16
 
@@ -51,37 +51,30 @@ class Header(NamedTuple):
 
 def is_bag(name: str) -> bool:
     """Return whether a file is part of a bag by its name."""
-    return _FILE.fullmatch(name) is not None
+    return Path(name).suffix in _READERS
 
 
 def bags_of(inside: Inside) -> dict[str, list[str]]:
-    """Return the files of each bag by its name: ``bag_0.mcap`` and ``bag_1.mcap`` are one bag."""
+    """Return the files of each bag by its name, in a folder or in the folders below it."""
     if not inside.is_folder:
-        if inside.path.suffix not in _READERS:
-            raise ImportFailure(
-                f"{inside.path}: not a bag (a folder, or a file *.mcap, *.db3 or *.bag)"
-            )
-        return {inside.path.stem: [""]}
+        return {inside.path.stem: [""]} if is_bag(inside.path.name) else {}
+    bags: dict[str, list[str]] = {}
+    for folder in inside.search(lambda names: any(map(is_bag, names))):
+        parts = _parts(inside, folder)
+        only = folder.rstrip("/") or inside.path.stem
+        bags |= parts if len(parts) > 1 else {only: next(iter(parts.values()))}
+    return bags
+
+
+def _parts(inside: Inside, folder: str) -> dict[str, list[str]]:
+    """Return the files of the bags in a folder: ``bag_0.mcap`` and ``bag_1.mcap`` are one bag."""
     files: dict[str, list[tuple[int, str]]] = {}
-    for name in inside.names():
-        if found := _FILE.fullmatch(name):
-            files.setdefault(found["bag"], []).append((int(found["part"] or 0), name))
-    if not files:
-        raise ImportFailure(
-            f"{inside.path}: no *.mcap, *.db3 or *.bag in this folder{_advice(inside)}"
-        )
-    parts = {bag: [name for _, name in sorted(found)] for bag, found in files.items()}
-    return parts if len(parts) > 1 else {inside.path.stem: next(iter(parts.values()))}
-
-
-def _advice(inside: Inside) -> str:
-    """Return how to import a folder without files of a bag, empty if unknown."""
-    for name in inside.names():
-        if "metadata.yaml" in inside.names(name):
-            return f"; {printable(name)} in it is a bag: import each bag separately"
-        if name.endswith(".zstd"):
-            return f"; unpack {printable(name)} first: zstd -d"
-    return ""
+    for name in filter(is_bag, inside.names(folder)):
+        found = _STEM.fullmatch(Path(name).stem)
+        if found is not None:
+            part = int(found["part"] or 0), f"{folder}{name}"
+            files.setdefault(f"{folder}{found['bag']}", []).append(part)
+    return {bag: [name for _, name in sorted(found)] for bag, found in files.items()}
 
 
 def received(inside: Inside, names: list[str], tally: Tally) -> Iterator[Received]:

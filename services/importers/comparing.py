@@ -244,7 +244,7 @@ def _strands(rows: Array) -> NDArray[np.intp]:
 
 
 class _Windows(NamedTuple):
-    """What poses and velocities state for the same time, one row for each window."""
+    """Rates by the poses and by the velocities, a row for each window."""
 
     times_s: Array  # Begin of each window.
     gone: Array  # Distance by the poses and by the velocities, metres a second, (n, 2).
@@ -261,9 +261,9 @@ def _windows(track: Array, breaks: NDArray[np.intp], moves: Moves) -> _Windows:
     end = end[whole]
     took_s = track[end, 0] - track[begin, 0]
     steps = seen_from(track[end, 1:], track[begin, 1:])
-    told = moves.until(track[end, 0]) - moves.until(track[begin, 0])
-    gone = np.column_stack([np.hypot(steps[:, 0], steps[:, 1]), np.abs(told[:, 0])])
-    turned = np.column_stack([np.abs(steps[:, 2]), np.abs(wrapped(told[:, 1]))])
+    commanded = moves.until(track[end, 0]) - moves.until(track[begin, 0])
+    gone = np.column_stack([np.hypot(steps[:, 0], steps[:, 1]), np.abs(commanded[:, 0])])
+    turned = np.column_stack([np.abs(steps[:, 2]), np.abs(wrapped(commanded[:, 1]))])
     return _Windows(since_s[begin], gone / took_s[:, None], turned / took_s[:, None])
 
 
@@ -324,18 +324,20 @@ def _joined(
     ):
         took_s = track[at, 0] - track[at - 1, 0]
         jump = seen_from(track[at, 1:], track[at - 1, 1:])
+        cut_because = ""
         if not view_goes_on:
-            done = "the drive is cut there, as the view changes too"
+            cut_because = "the view changes too"
         elif moves is None and took_s > HOLD_S:
-            done = "the drive is cut there, as there are no velocities in between"
+            cut_because = "there are no velocities in between"
+        if cut_because:
+            done = f"the drive is cut there, as {cut_because}"
+            cuts.append(middle_s)
         else:
             done = "joined, as the view goes on"
             step = _step(track, at, moves)
             track[at:, 1:] = placed(
                 seen_from(track[at:, 1:], track[at, 1:]), placed(step, track[at - 1, 1:])
             )
-        if not done.startswith("joined"):
-            cuts.append(middle_s)
         reports.append(
             f"{np.hypot(jump[0], jump[1]):.2f} m and {np.degrees(jump[2]):.0f} degrees at "
             f"{middle_s - drive.times_s[0]:.1f} s ({done})"

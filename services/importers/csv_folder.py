@@ -12,23 +12,22 @@ first is later than its end, the video begins at the first row.
 
 import csv
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import chain
 from typing import Annotated, Final
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from schemas.codec import printable
 from services.importers import layouts
-from services.importers.drive import MOST_SAMPLES, ImportedDrive, ImportFailure, Tally
-from services.importers.images import Row, drive_of, moved
+from services.importers.drive import MOST_SAMPLES, POSE, ImportedDrive, ImportFailure, Reads, Tally
+from services.importers.images import Row, drive_of
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
 from services.importers.videos import SUFFIXES, Film
 
 NAME: Final = "drive.csv"
 VELOCITY: Final = ("linear_m_s", "angular_rad_s")
-POSE: Final = ("x_m", "y_m", "heading_rad")
 COLUMNS: Final = ("episode", "image", "time_s", *VELOCITY, "success", *POSE)
 _TEXTS: Final = ("episode", "image")
 
@@ -63,8 +62,8 @@ def found(inside: Inside) -> bool:
     return bool(_tables(inside)) or layouts.found(inside)
 
 
-def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
-    """Read a folder; each episode is a drive."""
+def read(inside: Inside, job: ImportJob, tally: Tally) -> Reads:
+    """Return the reads of the drives of a folder, by episode."""
     names = _tables(inside)
     if not names and layouts.found(inside):
         return layouts.read(inside, job, tally)
@@ -72,32 +71,28 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
         raise ImportFailure(
             f"{inside.path}: {NAME} not found, and {len(names)} CSV files to choose from"
         )
-    return _drives(inside, NAME if NAME in names else names[0], job, tally)
+    return _reads(inside, NAME if NAME in names else names[0], job, tally)
 
 
-def _drives(inside: Inside, name: str, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
+def _reads(inside: Inside, name: str, job: ImportJob, tally: Tally) -> Reads:
+    job.check_used("a table", "rate_hz", "speed", "turn_rate")
     films = [each for each in inside.names() if each.lower().endswith(SUFFIXES)]
     episodes: dict[str, list[Row]] = {}
     arrived: dict[str, bool] = {}
-    for line in _lines(inside, name, job.rate_hz, films, tally):
-        episodes.setdefault(line.episode, []).append(line.row(job))
+    for number, line in enumerate(_lines(inside, name, job.rate_hz, films, tally)):
+        episodes.setdefault(line.episode, []).append(line.row(job)._replace(number=number))
         if line.success is not None:
             arrived[line.episode] = line.success
     every = [row for rows in episodes.values() for row in rows]
     if not every:
         raise ImportFailure(f"{inside.called(name)}: no row has an image, a time and velocities")
-    if every[0].image:
-        return [
-            drive_of(inside, each, rows, tally, success=arrived.get(each))
-            for each, rows in episodes.items()
-        ]
-    film = Film(inside, films[0], np.array([row.time_s for row in every]), tally)
-    return [
-        ImportedDrive.of_rows(
-            each, *film.part(rows), *moved(rows), tally, success=arrived.get(each)
-        )
-        for each, rows in episodes.items()
-    ]
+    shown = None if every[0].image else Film(inside, films[0], list(episodes.values()), tally).part
+
+    def drives(episode: str) -> list[ImportedDrive]:
+        rows = episodes[episode]
+        return [drive_of(inside, episode, rows, tally, shown=shown, success=arrived.get(episode))]
+
+    return {episode: partial(drives, episode) for episode in episodes}
 
 
 def _tables(inside: Inside) -> list[str]:
@@ -127,12 +122,12 @@ def _lines(
 
 def _line(values: dict[str, str], needed: set[str], time_s: float | None) -> _Line | None:
     """Parse a row of the table; return None if it is incomplete."""
-    told = {column: values[column] for column in COLUMNS if values.get(column)}
+    filled = {column: values[column] for column in COLUMNS if values.get(column)}
     # A spreadsheet in Europe writes 0,5 for 0.5.
-    told |= {key: told[key].replace(",", ".") for key in told if key not in _TEXTS}
-    told |= {} if time_s is None else {"time_s": str(time_s)}
+    filled |= {key: filled[key].replace(",", ".") for key in filled if key not in _TEXTS}
+    filled |= {} if time_s is None else {"time_s": str(time_s)}
     try:
-        return _Line.model_validate(told) if needed <= told.keys() else None
+        return _Line.model_validate(filled) if needed <= filled.keys() else None
     except ValidationError:
         return None
 

@@ -11,17 +11,17 @@ product. A tub has no units for them: odometry is computed only if the user give
 import re
 from collections.abc import Iterator, Sequence
 from datetime import datetime
+from functools import partial
 from itertools import pairwise
 from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, JsonValue, RootModel
 
-from schemas.codec import printable
-from services.importers.drive import MOST_SAMPLES, ImportedDrive, ImportFailure, Tally
+from services.importers.drive import MOST_SAMPLES, ImportedDrive, ImportFailure, Reads, Tally
 from services.importers.images import Row, drive_of
 from services.importers.inside import Inside
-from services.importers.job import ImportJob
+from services.importers.job import ImportJob, choose
 
 _Whole = Annotated[int, Field(ge=0, le=2**53)]
 _Values = dict[str, JsonValue]
@@ -29,7 +29,6 @@ _MANIFEST: Final = "manifest.json"
 _META: Final = "meta.json"
 _EXCLUDED: Final = "exclude.json"
 _RECORD: Final = re.compile(r"record_(\d{1,15})\.json")
-_DEEPEST: Final = 3  # The tubs of a car are in its folder data/; a folder above can have all cars.
 _ANEW_S: Final = 1.0  # A clock that steps back further begins anew.
 _IMAGES: Final = ("image_array", "image")  # Types of fields.
 
@@ -94,40 +93,29 @@ class _Tub(NamedTuple):
 
 def found(inside: Inside) -> bool:
     """Return whether a folder is a tub, or has tubs."""
-    return inside.is_folder and any(True for _ in _tubs(inside))
+    return inside.is_folder and any(True for _ in inside.search(_is_tub))
 
 
-def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
-    """Read the tubs of a folder; each session is a drive, and so is a tub without sessions."""
-    folders = list(_tubs(inside))
-    drives: list[ImportedDrive] = []
-    failures: list[str] = []
-    for folder in folders:
-        try:
-            drives += _drives(inside, folder, job, tally)
-        except ImportFailure as error:
-            failures.append(str(error))
-    if not drives:
-        missing = f"{inside.path}: no tub in this folder (neither {_MANIFEST} nor record_*.json)"
-        raise ImportFailure([*failures, missing][0])
-    for failure in failures:
-        tally.say(failure)
-    return drives
+def read(inside: Inside, job: ImportJob, tally: Tally) -> Reads:
+    """Return the reads of tubs; each session is a drive, and so is a tub without sessions."""
+    job.check_used("a tub", "camera", "velocity", "rate_hz", "speed", "turn_rate")
+    reads = {
+        folder: partial(_drives, inside, folder, job, tally) for folder in inside.search(_is_tub)
+    }
+    if not reads:
+        raise ImportFailure(
+            f"{inside.path}: no tub in this folder (neither {_MANIFEST} nor record_*.json)"
+        )
+    return dict(reads)
 
 
-def _tubs(inside: Inside, folder: str = "") -> Iterator[str]:
-    """Yield the tubs in a folder: "", or names that end with a slash."""
-    names = inside.names(folder)
-    if _MANIFEST in names or any(map(_RECORD.fullmatch, names)):
-        yield folder
-    elif folder.count("/") < _DEEPEST:
-        for name in inside.folders(folder):
-            yield from _tubs(inside, f"{folder}{name}/")
+def _is_tub(names: list[str]) -> bool:
+    return _MANIFEST in names or any(map(_RECORD.fullmatch, names))
 
 
 def _drives(inside: Inside, folder: str, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
-    form = _version_2 if _MANIFEST in inside.names(folder) else _version_1
-    tub = form(inside, folder, tally)
+    second = _MANIFEST in inside.names(folder)
+    tub = (_version_2 if second else _version_1)(inside, folder, tally)
     fields = _fields(tub.meta, job, inside.called(folder))
     sessions: dict[str, list[Row]] = {}
     count = 0
@@ -150,7 +138,7 @@ def _drives(inside: Inside, folder: str, job: ImportJob, tally: Tally) -> list[I
     return [
         drive_of(inside, f"{folder}{name}".rstrip("/"), rows, tally, metric=metric)
         for session, all_rows in sessions.items()
-        for name, rows in _runs(session, all_rows)
+        for name, rows in ([(session, all_rows)] if second else _runs(session, all_rows))
     ]
 
 
@@ -208,8 +196,9 @@ def _fields(meta: _Meta, job: ImportJob, called: str) -> tuple[str, str, str]:
         ("steering", steering.strip(), _ending(meta.inputs, ("angle", "steering"))),
         ("throttle", throttle.strip(), _ending(meta.inputs, ("throttle",))),
     )
+    how = "--camera IMAGE and --velocity STEERING,THROTTLE"
     image, angle, throttle = (
-        _field(f"{called}: {what}", wish, found, meta.inputs) for what, wish, found in wanted
+        choose(f"{called}: {what}", wish, found, meta.inputs, how) for what, wish, found in wanted
     )
     return image, angle, throttle
 
@@ -220,18 +209,6 @@ def _ending(inputs: Sequence[str], endings: Sequence[str]) -> list[str]:
     return [name for name in found if name.startswith("user/")] or [
         name for name in found if not name.startswith("pilot/")
     ]
-
-
-def _field(what: str, wish: str, found: Sequence[str], inputs: Sequence[str]) -> str:
-    """Return the requested field, or the only one."""
-    chosen = [wish] if wish else found
-    if len(chosen) == 1 and chosen[0] in inputs:
-        return chosen[0]
-    wrong = f"field {wish} not found" if wish else f"{len(found)} fields found"
-    raise ImportFailure(
-        f"{what}: {wrong}; choose from {printable(', '.join(inputs))[:300] or 'none'} with "
-        "--camera IMAGE and --velocity STEERING,THROTTLE"
-    )
 
 
 def _record(

@@ -15,6 +15,8 @@ from smal.camera import Camera
 Array = NDArray[np.float64]
 #: Maximum samples of a drive or rows of a file: 28 hours at 100 Hz, 100 bytes each.
 MOST_SAMPLES: Final = 10_000_000
+#: Names of the numbers of a pose by odometry.
+POSE: Final = ("x_m", "y_m", "heading_rad")
 # Maximum speed of wheeled robots.
 FASTEST_M_S = 50.0
 FASTEST_RAD_S = 100.0
@@ -39,6 +41,8 @@ class NotAnImage(ValueError):  # noqa: N818 - it is caught and counted, one fram
 Image = Callable[[], bytes]
 Images = Callable[[], Iterator[Image]]
 Rows = Sequence[tuple[float, ...]] | Array
+#: Reads of the drives of a source by their name, or by the start of their names.
+Reads = dict[str, Callable[[], "list[ImportedDrive]"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,8 +145,8 @@ def spans(times_s: Array) -> list[str]:
 
 def motion_of(rows: Rows, tally: Tally) -> Array:
     """Return (time, speed, turn rate) by time, (k, 3); count implausible rows."""
-    said = "velocities are invalid: not numbers, faster than any robot, or at times not in seconds"
-    return _sound(rows, (LATEST_S, FASTEST_M_S, FASTEST_RAD_S), said, tally)
+    wrong = "velocities are invalid: not numbers, faster than any robot, or at times not in seconds"
+    return _sound(rows, (LATEST_S, FASTEST_M_S, FASTEST_RAD_S), wrong, tally)
 
 
 def _sound(rows: Rows, most: tuple[float, ...], what: str, tally: Tally) -> Array:

@@ -1,6 +1,6 @@
 """Conversion of foreign images to JPEG; upright JPEG files are copied unchanged."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Final, NamedTuple
 
@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from schemas.camera import CompressedImage
 from services.importers.clocks import in_order
 from services.importers.drive import (
+    Array,
     Images,
     ImportedDrive,
     ImportFailure,
     NotAnImage,
-    Rows,
     Tally,
 )
 from services.importers.inside import Inside
-from services.kit.jpeg import encode_jpeg, shrunk
-from services.kit.pixels import ENCODINGS, FORMATS, decode_file, is_upright, rgb_of
+from services.kit.jpeg import encode_jpeg, jpeg_size, shrunk
+from services.kit.pixels import ENCODINGS, FORMATS, Depth, decode_file, is_upright, rgb_of
 
 MOST_BYTES: Final = CompressedImage.max_bytes - 2**16  # Maximum size of an image file, bytes.
 _MOST: Final = (4096, 3072)  # Maximum columns and rows of a recorded image.
@@ -32,7 +32,7 @@ _PNG: Final = b"\x89PNG"
 _DEPTH_HEADER: Final = 12  # Bytes before the PNG of a depth image that ROS compressed.
 
 
-def as_jpeg(data: bytes, tally: Tally, announced: str = "") -> bytes:
+def as_jpeg(data: bytes, tally: Tally, depth: Depth, announced: str = "") -> bytes:
     """Return an image file as an upright JPEG; raises `NotAnImage` if it does not decode.
 
     The source can announce a format; the content decides.
@@ -40,31 +40,39 @@ def as_jpeg(data: bytes, tally: Tally, announced: str = "") -> bytes:
     if len(data) > MOST_BYTES:
         raise NotAnImage("images are larger than 16 MiB")
     form = next((name for start, name in FORMATS.items() if data.startswith(start)), "other")
-    pixels = decode_file(data)
+    pixels = decode_file(data, depth)
     if pixels is None:
         named = f" ({announced[:60]})" if announced else ""
         raise NotAnImage(f"images are damaged, or have a format that OpenCV cannot decode{named}")
-    if form == "JPEG" and is_upright(data):
-        return data if _recorded_width(pixels) == pixels.shape[1] else raw_as_jpeg(pixels)
-    upright = "images are turned upright by their EXIF orientation"
-    tally.count(upright if form == "JPEG" else _CONVERTED.format(form))
+    if form != "JPEG":
+        tally.count(_CONVERTED.format(form))
+    elif not is_upright(data):
+        tally.count("images are turned upright by their EXIF orientation")
+    elif jpeg_size(data) is None:
+        tally.count("images are JPEG of a rare form, encoded again")
+    elif _recorded_width(pixels) == pixels.shape[1]:
+        return data
     return raw_as_jpeg(pixels)
 
 
-def ros_as_jpeg(image: Any, tally: Tally) -> bytes:  # noqa: ANN401 - its class is made of its definition
+def ros_as_jpeg(
+    image: Any,  # noqa: ANN401 - its class is made of its definition
+    tally: Tally,
+    depth: Depth,
+) -> bytes:
     """Return a `CompressedImage` or an `Image` of ROS as JPEG; raises `NotAnImage` if invalid."""
     if hasattr(image, "format"):
         data = bytes(image.data)
         if data.startswith(_PNG, _DEPTH_HEADER):
             tally.say("images show depth (compressedDepth); choose the colour images with --camera")
             data = data[_DEPTH_HEADER:]
-        return as_jpeg(data, tally, image.format)
+        return as_jpeg(data, tally, depth, image.format)
     if image.encoding not in ENCODINGS:
         raise NotAnImage(f"images have the unsupported encoding {image.encoding or '(empty)'}")
     try:
-        pixels = rgb_of(image)
+        pixels = rgb_of(image, depth)
     except ValueError:
-        raise NotAnImage("images are damaged") from None
+        raise NotAnImage("images are damaged, or their size does not fit their encoding") from None
     tally.count(_CONVERTED.format(image.encoding))
     return raw_as_jpeg(pixels)
 
@@ -91,6 +99,10 @@ class Row(NamedTuple):
     time_s: float
     velocity: tuple[float, float] | None
     pose: tuple[float, float, float] | None = None
+    number: int = 0  # Position in the table.
+
+
+Shown = Callable[[Sequence[Row]], tuple[Array, Images]]
 
 
 def drive_of(
@@ -99,41 +111,44 @@ def drive_of(
     rows: Sequence[Row],
     tally: Tally,
     *,
+    shown: Shown | None = None,
     success: bool | None = None,
     metric: bool = True,
 ) -> ImportedDrive:
-    """Create a drive from its frames; raise ImportFailure if the frame rate is implausible."""
+    """Create a drive from its frames; raise ImportFailure if the frame rate is implausible.
+
+    The images are the files of the rows, or, with their times, those that ``shown`` returns.
+    """
     times_s = in_order(np.array([row.time_s for row in rows]), tally)
     rows = [rows[at]._replace(time_s=times_s[at]) for at in np.argsort(times_s, kind="stable")]
-    times_s = np.sort(times_s)
-    usual_s = float(np.median(np.diff(times_s))) if len(rows) > 1 else 1.0
+    if shown is None:
+        times_s = np.sort(times_s)
+        images = files([row.image for row in rows], inside, tally)
+    else:
+        times_s, images = shown(rows)
+    usual_s = float(np.median(np.diff(times_s))) if times_s.size > 1 else 1.0
     if usual_s * _FASTEST_HZ < 1.0:
-        said = f"{1.0 / usual_s:.0f} frames per second" if usual_s > 0.0 else "all frames at once"
+        rate = f"{1.0 / usual_s:.0f} frames per second" if usual_s > 0.0 else "all frames at once"
         raise ImportFailure(
-            f"{inside.path}: invalid times ({said}), as in a copied data set; give the frame "
+            f"{inside.path}: invalid times ({rate}), as in a copied data set; give the frame "
             "rate with --rate, for example --rate 20"
         )
-    images = files([row.image for row in rows], inside, tally)
-    return ImportedDrive.of_rows(
-        name, times_s, images, *moved(rows), tally, success=success, metric=metric
-    )
-
-
-def moved(rows: Sequence[Row]) -> tuple[Rows, Rows]:
-    """Return the motion and the track of frames."""
     motion = [(row.time_s, *row.velocity) for row in rows if row.velocity is not None]
     track = [(row.time_s, *row.pose) for row in rows if row.pose is not None]
-    return motion, track
+    return ImportedDrive.of_rows(
+        name, times_s, images, motion, track, tally, success=success, metric=metric
+    )
 
 
 def files(names: Sequence[str], inside: Inside, tally: Tally) -> Images:
     """Return the image files of a folder as JPEG."""
-    return lambda: (partial(_image, inside, name, tally) for name in names)
+    depth = Depth()
+    return lambda: (partial(_image, inside, name, tally, depth) for name in names)
 
 
-def _image(inside: Inside, name: str, tally: Tally) -> bytes:
+def _image(inside: Inside, name: str, tally: Tally, depth: Depth) -> bytes:
     try:
-        return as_jpeg(inside.read(inside.spelled(name), MOST_BYTES), tally)
+        return as_jpeg(inside.read(inside.spelled(name), MOST_BYTES), tally, depth)
     except ImportFailure as error:
         # One remark names the reason.
         if not tally.counts[_UNREAD]:

@@ -1,7 +1,7 @@
 """Access to the files of a foreign folder, never to files outside, whatever its links."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Final, TypeVar
@@ -16,6 +16,7 @@ from services.kit.root import OutsideError, below, open_below
 #: Maximum size of a file that is read as a whole; metadata of a thousand hours are smaller.
 MOST_BYTES: Final = 256 * 2**20
 LONGEST_LINE: Final = 1_000_000  # In characters; a row of numbers has a few hundred.
+_DEEPEST: Final = 3  # The tubs of a car are in its folder data/; a folder above can have all cars.
 Model = TypeVar("Model", bound=BaseModel)
 
 
@@ -48,10 +49,9 @@ class Inside:
         try:
             yield
         except OutsideError:
-            said = (
+            raise ImportFailure(
                 f"{self.called(name)} leads out of {self.path}; copy links as files first (cp -rL)"
-            )
-            raise ImportFailure(said) from None
+            ) from None
         except (OSError, ValueError) as error:
             why = getattr(error, "strerror", None) or "no file name"
             raise ImportFailure(f"{self.called(name)}: {why}") from None
@@ -75,7 +75,7 @@ class Inside:
                 yield line
 
     def names(self, folder: str = "") -> list[str]:
-        """Return the sorted names in a folder, or () if there is no such folder."""
+        """Return the sorted names in a folder; [] if it is not a folder."""
         with self._failures(folder):
             path = below(self._root, folder)
             return sorted(each.name for each in path.iterdir()) if path.is_dir() else []
@@ -87,6 +87,15 @@ class Inside:
             return sorted(
                 each.name for each in path.iterdir() if each.is_dir() and not each.is_symlink()
             )
+
+    def search(self, is_there: Callable[[list[str]], bool], folder: str = "") -> Iterator[str]:
+        """Yield the folders whose names are a source: "", or names that end with a slash."""
+        names = self.names(folder)
+        if is_there(names):
+            yield folder
+        elif folder.count("/") < _DEEPEST:
+            for name in self.folders(folder):
+                yield from self.search(is_there, f"{folder}{name}/")
 
     def spelled(self, name: str) -> str:
         """Return a file's name as its folder has it: case, accents and slashes differ by system."""

@@ -7,7 +7,9 @@ from typing import Annotated, Final, Literal, get_args
 from pydantic import Field
 
 from schemas.base import STILL, TURNING, RobotId, Strict
+from schemas.codec import printable
 from schemas.episode import GoalName
+from services.importers.drive import ImportFailure
 from services.importers.ticks import QUANTILE
 from services.kit.errors import UsageError
 
@@ -20,6 +22,15 @@ _PACKAGES: Final[dict[Format, tuple[str, ...]]] = {
     "rosbag2": ("rosbags",),
     "rosbag1": ("rosbags",),
     "lerobot": ("pyarrow", "av"),
+}
+#: Options that some kinds of sources use.
+_OPTIONS: Final = {
+    "camera": "--camera",
+    "velocity": "--velocity",
+    "odometry": "--odometry",
+    "rate_hz": "--rate",
+    "speed": "--speed",
+    "turn_rate": "--turn-rate",
 }
 _Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
 _Rate = Annotated[float, Field(gt=0.0, le=1000.0)]
@@ -50,6 +61,12 @@ class ImportJob(Strict):
     turn_rate: _Rate | None = None
     episodes: tuple[str, ...] = ()
 
+    def check_used(self, source: str, *used: str) -> None:
+        """Raise ImportFailure if an option is set that has no effect on a kind of source."""
+        for name, option in _OPTIONS.items():
+            if name not in used and getattr(self, name) is not None:
+                raise ImportFailure(f"{option} has no effect on {source}; omit it")
+
 
 OdometryOrigin = Literal["of the source", "computed from velocities", "none"]
 
@@ -65,6 +82,18 @@ class ImportReport(Strict):
     turn_rate: float
     metric: bool  # Whether these are metres and radians per second; otherwise units of the source.
     atoms: dict[str, int]
+
+
+def choose(
+    what: str, wish: str | None, usual: Sequence[str], known: Sequence[str], how: str
+) -> str:
+    """Return the requested name, or else the only usual name; ImportFailure otherwise."""
+    names = [wish] if wish else usual
+    if len(names) == 1 and names[0] in known:
+        return names[0]
+    wrong = f"{wish} not found" if wish else f"{len(usual)} found"
+    named = printable(", ".join(known), 300) or "none"
+    raise ImportFailure(f"{what}: {wrong}; choose from {named} with {how}")
 
 
 def missing_packages(form: Format) -> list[str]:

@@ -8,6 +8,7 @@ poses in a text file of twelve numbers a line, or ``sequences`` and ``poses``, o
 
 from collections.abc import Iterator, Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import PurePath
 from typing import Final
 
@@ -15,10 +16,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from schemas.codec import printable
-from services.importers.drive import Array, ImportedDrive, ImportFailure, Tally
+from services.importers.drive import Array, ImportedDrive, ImportFailure, Reads, Tally
 from services.importers.images import files
 from services.importers.inside import Inside
-from services.importers.job import ImportJob
+from services.importers.job import ImportJob, choose
 from services.importers.trajectory import track_of
 
 _RGB: Final = "rgb"
@@ -39,21 +40,25 @@ def found(inside: Inside) -> bool:
     return not set(marks).isdisjoint(inside.names())
 
 
-def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
-    """Read the drives of a folder."""
+def read(inside: Inside, job: ImportJob, tally: Tally) -> Reads:
+    """Return the reads of the drives of a folder."""
+    used = () if {_LIST, _RGB} & set(inside.names()) else ("camera",)
+    job.check_used("a data set with poses", *used)
     names = inside.names()
     if _LIST in names or _RGB in names:
-        return [_tum(inside, tally)]
+        return {inside.path.name: partial(_tum, inside, tally)}
     if _MAV in names or _CAM in names:
-        return [_euroc(inside, f"{_MAV}/" if _MAV in names else "", job, tally)]
+        folder = f"{_MAV}/" if _MAV in names else ""
+        return {inside.path.name: partial(_euroc, inside, folder, job, tally)}
     if _OXTS in names:
-        return [_kitti_raw(inside, job, tally)]
+        return {inside.path.name: partial(_kitti_raw, inside, job, tally)}
     if _TIMES in names:
-        return [_kitti(inside, "", _only(inside, _texts(inside), 12), job, tally)]
-    return list(_sequences(inside, job, tally))
+        poses = _only(inside, _texts(inside), 12)
+        return {inside.path.name: partial(_kitti, inside, "", poses, job, tally)}
+    return _sequences(inside, job, tally)
 
 
-def _tum(inside: Inside, tally: Tally) -> ImportedDrive:
+def _tum(inside: Inside, tally: Tally) -> list[ImportedDrive]:
     # Other files, such as depth.txt and accelerometer.txt, have fewer numbers.
     poses = _table(inside, _only(inside, _texts(inside), 8), 8)
     if _LIST in inside.names():
@@ -84,17 +89,21 @@ def _only(
     return found[0]
 
 
-def _sequences(inside: Inside, job: ImportJob, tally: Tally) -> Iterator[ImportedDrive]:
-    """Yield the sequences of KITTI that have poses."""
-    known = inside.names("poses")
-    for name in inside.names(_SEQUENCES):
-        if f"{name}.txt" in known:
-            yield _kitti(inside, f"{_SEQUENCES}/{name}/", f"poses/{name}.txt", job, tally)
-        else:
-            tally.count("sequences have no poses (left out)")
+def _sequences(inside: Inside, job: ImportJob, tally: Tally) -> Reads:
+    """Return the reads of the sequences of KITTI that have poses."""
+    every = inside.names(_SEQUENCES)
+    known = set(inside.names("poses"))
+    posed = [name for name in every if f"{name}.txt" in known]
+    tally.count("sequences have no poses (left out)", len(every) - len(posed))
+    return {
+        name: partial(_kitti, inside, f"{_SEQUENCES}/{name}/", f"poses/{name}.txt", job, tally)
+        for name in posed
+    }
 
 
-def _kitti(inside: Inside, folder: str, poses: str, job: ImportJob, tally: Tally) -> ImportedDrive:
+def _kitti(
+    inside: Inside, folder: str, poses: str, job: ImportJob, tally: Tally
+) -> list[ImportedDrive]:
     camera = _camera(inside, folder, "image_", job)
     times_s = _times(inside, f"{folder}{_TIMES}")
     images = [f"{folder}{camera}/{name}" for name in inside.names(f"{folder}{camera}")]
@@ -110,7 +119,7 @@ def _kitti(inside: Inside, folder: str, poses: str, job: ImportJob, tally: Tally
     return _drive(inside, folder, times_s[:count], images[:count], placed, tally)
 
 
-def _kitti_raw(inside: Inside, job: ImportJob, tally: Tally) -> ImportedDrive:
+def _kitti_raw(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     camera = _camera(inside, "", "image_", job)
     images = [f"{camera}/data/{name}" for name in inside.names(f"{camera}/data")]
     files_of_poses = [f"{_OXTS}/data/{name}" for name in inside.names(f"{_OXTS}/data")]
@@ -137,7 +146,7 @@ def _dates(inside: Inside, name: str, count: int) -> Array:
     return np.array(dates)
 
 
-def _euroc(inside: Inside, folder: str, job: ImportJob, tally: Tally) -> ImportedDrive:
+def _euroc(inside: Inside, folder: str, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     sensors = [f"{folder}{name}" for name in inside.folders(folder)]
     camera = f"{folder}{_camera(inside, folder, 'cam', job)}"
     listed = f"{camera}/{_DATA}"
@@ -155,19 +164,13 @@ def _camera(inside: Inside, folder: str, start: str, job: ImportJob) -> str:
     """Return the requested folder of images, or the usual one: the left colour camera of KITTI."""
     cameras = [name for name in inside.names(folder) if name.startswith(start)]
     usual = [name for name in cameras if name in ("image_2", "image_02", "cam0")] or cameras
-    wanted = job.camera or [*usual, ""][0]
-    if wanted not in cameras:
-        named = printable(", ".join(cameras)) or "none"
-        raise ImportFailure(
-            f"{inside.called(folder)}: camera {wanted or start} not found; choose from {named} "
-            "with --camera"
-        )
-    return wanted
+    what = f"{inside.called(folder)}: camera {start}"
+    return choose(what, job.camera, usual[:1], cameras, "--camera")
 
 
 def _drive(
     inside: Inside, folder: str, times_s: Array, images: Sequence[str], poses: Array, tally: Tally
-) -> ImportedDrive:
+) -> list[ImportedDrive]:
     track = track_of(poses, tally)
     tally.say("velocities are computed from poses")
     name = folder.rstrip("/").rpartition("/")[2] or inside.path.name
@@ -175,8 +178,13 @@ def _drive(
         raise ImportFailure(f"{inside.called(folder)}: no pose of this drive is usable")
     rows = np.flatnonzero((times_s >= track[0, 0]) & (times_s <= track[-1, 0])).tolist()
     tally.count("frames have no pose (left out)", len(times_s) - len(rows))
+    if not rows:
+        raise ImportFailure(
+            f"{inside.called(folder)}: no image at the times of the poses "
+            f"({track[0, 0]:.1f} to {track[-1, 0]:.1f} s); both need the same clock"
+        )
     shown = files([images[row] for row in rows], inside, tally)
-    return ImportedDrive.of_rows(name, times_s[rows], shown, [], track, tally)
+    return [ImportedDrive.of_rows(name, times_s[rows], shown, [], track, tally)]
 
 
 def _lines(inside: Inside, name: str) -> Iterator[str]:

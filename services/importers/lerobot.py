@@ -12,24 +12,27 @@ from pydantic import BaseModel, BeforeValidator, Field, JsonValue, NonNegativeIn
 from schemas.codec import printable
 from services.importers.drive import (
     MOST_SAMPLES,
+    POSE,
     Array,
     Image,
     ImportedDrive,
     ImportFailure,
     NotAnImage,
+    Reads,
     Tally,
 )
 from services.importers.images import as_jpeg
 from services.importers.inside import Inside
-from services.importers.job import ImportJob
+from services.importers.job import ImportJob, choose
+from services.importers.ticks import LEAST_LINEAR
 from services.importers.videos import frames_at
+from services.kit.pixels import Depth
 
 #: Metres and radians per second, and the pose by odometry, in our own data sets.
 VELOCITIES: Final = ("linear_velocity", "angular_velocity")
 ACTION = "action"
 STATE = "observation.state"
 SUCCESS = "next.success"
-POSE: Final = ("x_m", "y_m", "heading_rad")
 #: Last parts of the names of velocities, the usual ones first.
 _LINEAR: Final = (
     "x_vel", "linear_velocity", "linear_vel", "linear_x", "linear", "vx", "vel_x",
@@ -41,7 +44,6 @@ _ANGULAR: Final = (
 _SEEN: Final = ("video", "image")  # Types of features.
 _SIDEWAYS: Final = ("y_vel", "linear_y", "vy", "vel_y")
 _DEGREES: Final = "theta_vel"  # Of LeKiwi, in degrees a second.
-_LEAST_SIDEWAYS: Final = 0.02  # Slower sideways movement is measurement noise, as in `ticks` ahead.
 _LINES: Final = "meta/episodes.jsonl"  # Files of version 2.
 _DATA_V2: Final = "data/chunk-{0:03d}/episode_{1:06d}.parquet"
 _VIDEO_V2: Final = "videos/chunk-{0:03d}/{2}/episode_{1:06d}.mp4"
@@ -84,7 +86,7 @@ class _Info(BaseModel):
     features: dict[str, _Feature]
 
     def names(self, feature: str) -> list[str]:
-        """Return the names of a feature's numbers, or () if there is no such feature."""
+        """Return the names of a feature's numbers; [] if there is no such feature."""
         return self.features[feature].names if feature in self.features else []
 
 
@@ -121,25 +123,24 @@ def found(inside: Inside) -> bool:
     return INFO.rpartition("/")[2] in inside.names(INFO.rpartition("/")[0])
 
 
-def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
-    """Read a data set; each of its episodes is a drive."""
+def read(inside: Inside, job: ImportJob, tally: Tally) -> Reads:
+    """Return the reads of the episodes of a data set; each is a drive."""
+    job.check_used("a LeRobotDataset", "camera", "velocity", "speed", "turn_rate")
     dataset = _DataSet(inside, job, tally)
-    asked = [
-        one for one in dataset.episodes() if not job.episodes or str(one.number) in job.episodes
-    ]
-    once = {episode.number: episode for episode in asked}
-    tally.count("episodes are described again (read once)", len(asked) - len(once))
-    drives = [dataset.drive(episode) for episode in once.values()]
+    every = list(dataset.episodes())
+    reads = {str(episode.number): partial(dataset.drives, episode) for episode in every}
+    tally.count("episodes are described again (read once)", len(every) - len(reads))
     announced = dataset.info.total_episodes
-    if not job.episodes and announced != len(drives):
-        tally.say(f"{INFO} announces {printable(str(announced))} episodes, there are {len(drives)}")
-    return drives
+    if announced != len(reads):
+        tally.say(f"{INFO} announces {printable(str(announced))} episodes, there are {len(reads)}")
+    return dict(reads)
 
 
 class _DataSet:
     def __init__(self, inside: Inside, job: ImportJob, tally: Tally) -> None:
         self._inside = inside
         self._tally = tally
+        self._depth = Depth()
         self.info = inside.parsed(_Info, inside.read(INFO), INFO)
         self._camera = _camera(self.info, job, inside.called(INFO))
         self._velocity = _velocity(self.info, job, inside.called(INFO))
@@ -152,10 +153,10 @@ class _DataSet:
 
     def _of_lines(self) -> Iterator[_Episode]:
         for line in self._inside.lines(_LINES):
-            told = self._inside.parsed(_Line, line, _LINES)
-            at = told.episode_index // self.info.chunks_size, told.episode_index, self._camera
+            entry = self._inside.parsed(_Line, line, _LINES)
+            at = entry.episode_index // self.info.chunks_size, entry.episode_index, self._camera
             video = _VIDEO_V2.format(*at) if self._filmed else ""
-            yield _Episode(told.episode_index, told.length, _DATA_V2.format(*at), video)
+            yield _Episode(entry.episode_index, entry.length, _DATA_V2.format(*at), video)
 
     def _of_tables(self) -> Iterator[_Episode]:
         for name in self._tables():
@@ -193,7 +194,7 @@ class _DataSet:
         )
         return _Episode(int(number), int(length), data, video, begin_s)
 
-    def drive(self, episode: _Episode) -> ImportedDrive:
+    def drives(self, episode: _Episode) -> list[ImportedDrive]:
         where = self._velocity
         found = self._columns_of(episode)
         times_s = found["timestamp"].ravel()
@@ -204,13 +205,13 @@ class _DataSet:
         moved = self._part(
             episode, found[where.feature], where.feature, [where.linear, where.angular, *sideways]
         )
-        aside = np.abs(moved[:, 2:]) > _LEAST_SIDEWAYS
+        aside = np.abs(moved[:, 2:]) > LEAST_LINEAR
         self._tally.count("frames go sideways, without a matching action", int(aside.sum()))
         track = np.zeros((0, 1 + len(POSE)))
         if self._pose:
             poses = self._part(episode, found[STATE], STATE, self._pose)
             track = np.column_stack([times_s[: len(poses)], poses])
-        return ImportedDrive.of_rows(
+        drive = ImportedDrive.of_rows(
             str(episode.number),
             times_s,
             partial(self._video if episode.video else self._embedded, episode, times_s),
@@ -219,6 +220,7 @@ class _DataSet:
             self._tally,
             success=bool(found[SUCCESS].any()) if SUCCESS in found else None,
         )
+        return [drive]
 
     def _columns_of(self, episode: _Episode) -> dict[str, Array]:
         """Return the rows of an episode by the features that are read."""
@@ -247,22 +249,21 @@ class _DataSet:
 
     def _embedded(self, episode: _Episode, _times_s: Array) -> Iterator[Image]:
         for batch in _batches(self._inside, episode.data, [self._camera], episode.number, _IMAGES):
-            yield from (partial(_cell, cell, self._tally) for cell in batch.column(self._camera))
+            yield from (
+                partial(_cell, cell, self._tally, self._depth)
+                for cell in batch.column(self._camera)
+            )
 
 
 def _camera(info: _Info, job: ImportJob, called: str) -> str:
     cameras = [key for key, feature in info.features.items() if feature.dtype in _SEEN]
-    named = ", ".join(map(printable, cameras)) or "none"
-    if job.camera is not None and job.camera not in cameras:
-        raise ImportFailure(f"{called}: camera {job.camera} not found; choose from {named}")
-    if job.camera is None and len(cameras) != 1:
-        raise ImportFailure(f"{called}: {len(cameras)} cameras ({named}); choose one with --camera")
-    return job.camera or cameras[0]
+    return choose(f"{called}: camera", job.camera, cameras, cameras, "--camera")
 
 
 def _velocity(info: _Info, job: ImportJob, called: str) -> _Velocity:
     # The command describes the driver better than the movement that follows.
-    for feature in dict.fromkeys([ACTION, STATE, *info.features]):
+    numbers = [key for key, feature in info.features.items() if feature.dtype not in _SEEN]
+    for feature in sorted(numbers, key=lambda key: (key != ACTION, key != STATE)):
         names = [_plain(name) for name in info.names(feature)]
         linear, angular = _pair(names, job.velocity)
         if linear is None or angular is None:
@@ -277,7 +278,6 @@ def _velocity(info: _Info, job: ImportJob, called: str) -> _Velocity:
             job.speed or 1.0,
             job.turn_rate or radians,
         )
-    numbers = (key for key, feature in info.features.items() if feature.dtype not in _SEEN)
     named = (f"{key}: {', '.join(info.names(key)) or 'no names'}" for key in numbers)
     raise ImportFailure(
         f"{called}: no linear and angular velocity of a base in {printable('; '.join(named))[:300]};"
@@ -313,12 +313,12 @@ def _plain(name: str) -> str:
     return re.sub(r"[.\s/_]+", "_", name.strip().lower())
 
 
-def _cell(cell: Any, tally: Tally) -> bytes:  # noqa: ANN401 - of a package without types
+def _cell(cell: Any, tally: Tally, depth: Depth) -> bytes:  # noqa: ANN401 - of a package without types
     value = cell.as_py()
     data = value.get("bytes") if isinstance(value, dict) else value
     if not isinstance(data, bytes):
         raise NotAnImage("images are not in the Parquet file")
-    return as_jpeg(data, tally)
+    return as_jpeg(data, tally, depth)
 
 
 def _batches(

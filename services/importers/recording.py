@@ -15,7 +15,7 @@ from schemas.camera import CompressedImage
 from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.motion import Odometry
-from services.importers.drive import Array, ImportedDrive, ImportFailure, NotAnImage, Tally
+from services.importers.drive import POSE, Array, ImportedDrive, ImportFailure, NotAnImage, Tally
 from services.importers.images import raw_as_jpeg
 from services.importers.job import ImportJob
 from services.importers.ticks import Moves, Nominal, Ticks, odometry, shares_of, ticks
@@ -27,7 +27,7 @@ from smal.movement import wrapped
 
 _DIGITS: Final = 6  # Decimals of poses: a micrometre and a microradian.
 _LEAST_FRAMES: Final = 2
-_POSE: Final = ("x_m", "y_m", "heading_rad", "speed_m_s", "turn_rate_rad_s")
+_ODOMETRY: Final = (*POSE, "speed_m_s", "turn_rate_rad_s")
 
 
 class Written(NamedTuple):
@@ -112,7 +112,7 @@ class _Episode:
             yield camera_info(cause, self._turned(self._camera, width, height), width, height)
         if self.poses is not None and not np.isnan(self.poses[row, 0]):
             pose = self.poses[row].round(_DIGITS).tolist()
-            yield Odometry.after(cause, **dict(zip(_POSE, pose, strict=True)))
+            yield Odometry.after(cause, **dict(zip(_ODOMETRY, pose, strict=True)))
         share = self._shares[row]
         atom = share.atom(self._job.still, self._job.turning)
         self.atoms[atom] += 1
@@ -169,8 +169,8 @@ def _poses(drive: ImportedDrive, times_s: Array, moves: Moves | None) -> Array |
     passed_s = np.diff(times_s, prepend=times_s[0] - TICK_S)
     heading = wrapped(poses[:, 2])
     speed = (moved[:, 0] * np.cos(heading) + moved[:, 1] * np.sin(heading)) / passed_s
-    told = np.column_stack([poses[:, :2], heading, speed, wrapped(moved[:, 2]) / passed_s])
-    return np.asarray(np.where(known[:, None], told, np.nan), dtype=np.float64)
+    states = np.column_stack([poses[:, :2], heading, speed, wrapped(moved[:, 2]) / passed_s])
+    return np.asarray(np.where(known[:, None], states, np.nan), dtype=np.float64)
 
 
 def _name(drive: ImportedDrive, shown: Ticks, first: bytes) -> str:

@@ -10,12 +10,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from services.importers.bags import Received, bags_of, decoded, is_bag, received, typestore
-from services.importers.drive import Image, ImportedDrive, ImportFailure, NotAnImage, Tally
+from schemas.codec import printable
+from services.importers.bags import Received, bags_of, decoded, received
+from services.importers.drive import Image, ImportedDrive, ImportFailure, NotAnImage, Reads, Tally
 from services.importers.images import ros_as_jpeg
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
 from services.importers.topics import Topics
+from services.kit.pixels import Depth
 
 #: Largest number of images that wait for an image before them: two seconds at 60 Hz.
 _MOST_WAITING: Final = 120
@@ -23,40 +25,46 @@ _MOST_WAITING: Final = 120
 
 def found(inside: Inside) -> bool:
     """Return whether a file is a bag, or a folder has bags."""
-    return any(map(is_bag, inside.names() if inside.is_folder else [inside.path.name]))
+    return bool(bags_of(inside))
 
 
-def read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
-    """Read each bag as one drive."""
-    typestore()
-    return [_drive(inside, name, files, job, tally) for name, files in bags_of(inside).items()]
+def read(inside: Inside, job: ImportJob, tally: Tally) -> Reads:
+    """Return the read of each bag, which is one drive."""
+    job.check_used("a bag", "camera", "velocity", "odometry", "speed", "turn_rate")
+    bags = bags_of(inside)
+    if not bags:
+        packed = [name for name in inside.names() if name.endswith(".zstd")][:1]
+        advice = "".join(f"; unpack {printable(name)} first: zstd -d" for name in packed)
+        raise ImportFailure(f"{inside.path}: no *.mcap, *.db3 or *.bag in this folder{advice}")
+    return {name: partial(_drives, inside, name, bags[name], job, tally) for name in bags}
 
 
-def _drive(
+def _drives(
     inside: Inside, name: str, files: list[str], job: ImportJob, tally: Tally
-) -> ImportedDrive:
-    topics = Topics(str(inside.path))
+) -> list[ImportedDrive]:
+    topics = Topics(inside.called(files[0]), tally)
     for number, message in enumerate(received(inside, files, tally)):
         try:
             topics.take(message, number)
         except ValueError:
             tally.count(f"messages of {message.topic} do not match their type")
-    images, velocity, odometry, camera = topics.choose(job, tally)
+    images, velocity, odometry, camera = topics.choose(job)
     scale = np.array((1.0, job.speed or 1.0, job.turn_rate or 1.0))
-    return ImportedDrive.of_rows(
+    drive = ImportedDrive.of_rows(
         name,
         images.times_s,
-        partial(_images, inside, files, images.numbers, tally),
+        partial(_images, inside, files, images.numbers, tally, Depth()),
         velocity.reported * scale,
         [] if odometry is None else odometry.track,
         tally,
         twist=np.zeros((0, 3)) if odometry is None else odometry.reported,
         camera=camera,
     )
+    return [drive]
 
 
 def _images(
-    inside: Inside, files: list[str], numbers: NDArray[np.int64], tally: Tally
+    inside: Inside, files: list[str], numbers: NDArray[np.int64], tally: Tally, depth: Depth
 ) -> Iterator[Image]:
     """Yield the images with these numbers of messages, in this order."""
     wanted = set(numbers.tolist())
@@ -66,7 +74,7 @@ def _images(
     for number, message in enumerate(received(inside, files, Tally())):
         if number not in wanted:
             continue
-        waiting[number] = partial(_image, message, tally)
+        waiting[number] = partial(_image, message, tally, depth)
         if len(waiting) > _MOST_WAITING:
             raise ImportFailure(
                 f"{inside.path}: an image is more than {_MOST_WAITING} images late; "
@@ -77,9 +85,9 @@ def _images(
             first = next(due, None)
 
 
-def _image(message: Received, tally: Tally) -> bytes:
+def _image(message: Received, tally: Tally, depth: Depth) -> bytes:
     try:
         image = decoded(message)
     except ValueError:
         raise NotAnImage("images are damaged") from None
-    return ros_as_jpeg(image, tally)
+    return ros_as_jpeg(image, tally, depth)

@@ -8,7 +8,8 @@ import importlib
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +18,7 @@ import numpy as np
 from schemas.base import ATOMS
 from schemas.codec import printable
 from services.importers.comparing import sound
-from services.importers.drive import ImportedDrive, ImportFailure, Tally
+from services.importers.drive import ImportedDrive, ImportFailure, Reads, Tally
 from services.importers.inside import Inside
 from services.importers.job import FORMATS, Format, ImportJob, ImportReport, OdometryOrigin
 from services.importers.recording import Written, write
@@ -47,7 +48,7 @@ def run(
     try:
         read = _drives(job, tally)
         counts = tally.counts.copy()
-        drives = [part for drive in read for part in sound(drive, tally)]
+        drives = _gathered([partial(sound, drive, tally) for drive in read], tally)
         tally.counts = counts  # The writer counts the compared images as it reads them again.
         usual = nominal(np.concatenate([drive.motion[:, 1:] for drive in drives]), job.quantile)
         total = sum(drive.times_s.size for drive in drives)
@@ -57,18 +58,50 @@ def run(
             raise ImportFailure(f"{job.path}: nothing to import")
         return _report(drives, written, usual)
     except ImportFailure as error:
-        # The cause can be among the counted defects.
-        raise ImportFailure("; ".join([str(error), *tally.counted()])) from None
+        # The cause can be among the remarks and the counted defects.
+        raise ImportFailure("; ".join([str(error), *tally.lines()])) from None
 
 
 def _drives(job: ImportJob, tally: Tally) -> list[ImportedDrive]:
-    every = _read(Inside(Path(job.path)), job, tally)
-    drives = [drive for drive in every if not job.episodes or drive.name in job.episodes]
+    """Read the requested drives; a drive that cannot be read is a remark if others can."""
+    reads = _reads(Inside(Path(job.path)), job, tally)
+    if not job.episodes:
+        every = _gathered(reads.values(), tally)
+        if not every:
+            raise ImportFailure(f"{job.path}: no drives in this source")
+        return every
+    wanted = {name: read for name, read in reads.items() if _leads(name, job.episodes)}
+    every = _gathered(wanted.values(), tally)
+    drives = [drive for drive in every if drive.name in job.episodes]
     if not drives:
-        names = ", ".join(drive.name for drive in every[:10]) or "none"
+        others = [name for name in reads if name not in wanted]
+        names = printable(", ".join([*(drive.name for drive in every), *others][:10])) or "none"
         raise ImportFailure(
             f"{job.path}: episodes {', '.join(job.episodes)} not found; choose from {names}"
         )
+    return drives
+
+
+def _leads(name: str, episodes: Sequence[str]) -> bool:
+    """Return whether one of the episodes can be in a part of the source with this name."""
+    return any(episode.startswith(name.rstrip("/")) for episode in episodes)
+
+
+def _gathered(
+    reads: Iterable[Callable[[], list[ImportedDrive]]], tally: Tally
+) -> list[ImportedDrive]:
+    """Return all drives, and report those that fail; ImportFailure if all fail."""
+    drives: list[ImportedDrive] = []
+    failures: list[str] = []
+    for read in reads:
+        try:
+            drives += read()
+        except ImportFailure as error:
+            failures.append(str(error))
+    if failures and not drives:
+        raise ImportFailure(failures[0])
+    for failure in failures:
+        tally.say(failure)
     return drives
 
 
@@ -76,20 +109,23 @@ def _reader(form: Format) -> Any:  # noqa: ANN401 - a module
     return importlib.import_module(f"services.importers.{_READERS[form]}")
 
 
-def _read(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
-    """Read a source; an error about another format names what is there."""
+def _reads(inside: Inside, job: ImportJob, tally: Tally) -> Reads:
+    """Return the reads of a source; an error about another format names what is there."""
     reader = _reader(job.format)
-    read: Callable[[Inside, ImportJob, Tally], list[ImportedDrive]] = reader.read
+    read: Callable[[Inside, ImportJob, Tally], Reads] = reader.read
     if reader.found(inside):
         return read(inside, job, tally)
-    folder = inside if inside.is_folder else Inside(inside.path.parent)
-    if others := [form for form in FORMATS if _reader(form).found(folder)]:
+    if others := [form for form in FORMATS if _reader(form).found(inside)]:
         raise ImportFailure(
             f"{inside.path}: not of the format {job.format}; run: smal import {others[0]} "
-            f"{folder.path}"
+            f"{inside.path}"
         )
-    names = inside.names() if inside.is_folder else [inside.path.name]
-    kinds = Counter(Path(name).suffix or "(no suffix)" for name in names).most_common(5)
+    if not inside.is_folder:
+        raise ImportFailure(
+            f"{inside.path}: a file, not of the format {job.format}; to import its folder, run: "
+            f"smal import {job.format} {inside.path.parent}"
+        )
+    kinds = Counter(Path(name).suffix or "(no suffix)" for name in inside.names()).most_common(5)
     named = printable(", ".join(f"{count} {kind}" for kind, count in kinds)) or "none"
     try:
         return read(inside, job, tally)
@@ -122,13 +158,13 @@ def work(request: Any, child: Work) -> dict[str, Any]:  # noqa: ANN401 - JSON
     job = ImportJob.model_validate_json(json.dumps(request))
     tally = Tally()
     done = 0
-    told_s = 0.0
+    reported_s = 0.0
 
     def advance(total: int) -> None:
-        nonlocal done, told_s
+        nonlocal done, reported_s
         done += 1
-        if time.monotonic() - told_s >= _PERIOD_S:
-            told_s = time.monotonic()
+        if time.monotonic() - reported_s >= _PERIOD_S:
+            reported_s = time.monotonic()
             child.tell({"done": done, "total": max(total, done)})
 
     try:

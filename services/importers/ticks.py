@@ -4,8 +4,8 @@ A tick shows the frame that is nearest to its time. Its movement is the distance
 velocity holds until the next velocity, at most for the command timeout of a base.
 
 The usual speed and turn rate are measured on the source itself, so that one rule works for a toy
-car's
-throttle and for metres per second. If a tick drives and turns, it is a turn if the turn is sharp.
+car's throttle and for metres per second. If a tick drives and turns, it is a turn if the turn is
+sharp.
 """
 
 import math

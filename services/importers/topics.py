@@ -4,7 +4,7 @@ The driver's command determines the actions if it drives when the odometry moves
 velocities of the odometry do. The pose is that of the odometry that covers the images and moves.
 """
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from services.importers.streams import (
     COMPRESSED,
     IMAGES,
     INFO,
+    MEASURED,
     ODOMETRY,
     POSES,
     VELOCITIES,
@@ -40,7 +41,9 @@ class _Option(NamedTuple):
 
 
 _CAMERA: Final = _Option("--camera", "image (CompressedImage or Image)")
-_VELOCITY: Final = _Option("--velocity", "velocity (Twist, TwistStamped or Odometry)")
+_VELOCITY: Final = _Option(
+    "--velocity", "velocity (Twist, TwistStamped, TwistWithCovarianceStamped or Odometry)"
+)
 _ODOMETRY: Final = _Option("--odometry", "odometry (Odometry or a pose)")
 _Streams = dict[str, Stream]
 
@@ -57,8 +60,9 @@ class Chosen(NamedTuple):
 class Topics:
     """All topics of a bag."""
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, path: str, tally: Tally) -> None:
         self._path = path
+        self._tally = tally
         self._streams: _Streams = {}
         self._cameras: dict[str, tuple[str, Camera]] = {}  # Frame and calibration.
         self._others: dict[str, str] = {}  # Types of topics that no drive needs.
@@ -72,16 +76,19 @@ class Topics:
             self._streams[topic].add(message, number)
         elif message.type == INFO:
             if topic not in self._cameras:
-                self._cameras[topic] = (
-                    header_of(message).frame,
-                    camera_of_ros(decoded(message)),
-                )
+                self._calibrate(topic, header_of(message).frame, decoded(message))
         else:
             self._others[topic] = message.type
 
-    def choose(self, job: ImportJob, tally: Tally) -> Chosen:
+    def _calibrate(self, topic: str, frame: str, info: Any) -> None:  # noqa: ANN401 - generated
+        try:
+            self._cameras[topic] = frame, camera_of_ros(info)
+        except ValueError as error:
+            self._tally.say(f"{printable(topic)}: {error}")
+
+    def choose(self, job: ImportJob) -> Chosen:
         """Return the topics of the drive, by content or by option."""
-        self._order(tally)
+        self._order()
         images = self._wished(_CAMERA, job.camera, IMAGES) or self._only_camera()
         at_s = _thinned(images.times_s)
         velocity = self._wished(_VELOCITY, job.velocity, VELOCITIES)
@@ -89,14 +96,14 @@ class Topics:
         if odometry is None and velocity is not None and velocity.type == ODOMETRY:
             odometry = velocity
         odometry = odometry or self._best_odometry(at_s)
-        velocity = velocity or self._best_velocity(at_s, odometry, tally)
-        self._report(images, velocity, odometry, tally)
+        velocity = velocity or self._best_velocity(at_s, odometry)
+        self._report(images, velocity, odometry)
         return Chosen(images, velocity, odometry, self._camera_of(images))
 
-    def _order(self, tally: Tally) -> None:
+    def _order(self) -> None:
         """Set the times of capture of all streams."""
         streams = [stream for stream in self._streams.values() if len(stream)]
-        times = captured([stream.times() for stream in streams], tally)
+        times = captured([stream.times() for stream in streams], self._tally)
         for stream, captured_s in zip(streams, times, strict=True):
             stream.settle(captured_s)
 
@@ -157,25 +164,29 @@ class Topics:
         ]
         return max(poses, key=fit, default=None)
 
-    def _best_velocity(self, at_s: Array, odometry: Stream | None, tally: Tally) -> Stream:
+    def _best_velocity(self, at_s: Array, odometry: Stream | None) -> Stream:
         """Return the command that drives when the odometry moves, else the odometry."""
         measured = odometry is not None and moving(odometry.motion).any()
         if odometry is not None and measured:
             at_s = at_s[odometry.driven(at_s)]
 
-        def fit(one: Stream) -> tuple[float, bool]:
-            share = float(one.driven(at_s).mean()) if at_s.size else 0.0
-            return round(share, 1), one.topic.rpartition("/")[2] == "cmd_vel"
+        others = [one for one in self._of(VELOCITIES) if one.type != ODOMETRY]
+        shares = {one.topic: float(one.driven(at_s).mean()) if at_s.size else 0.0 for one in others}
+        most = max(shares.values(), default=0.0)
 
-        commands = [one for one in self._of(VELOCITIES) if one.type != ODOMETRY]
-        best = max(commands, key=fit, default=None)
-        if best is not None and (fit(best)[0] >= _LEAST_FIT or not measured):
+        def fit(one: Stream) -> tuple[bool, float, bool]:
+            share = shares[one.topic]
+            commanded = one.type != MEASURED and share >= _LEAST_FIT * most
+            return commanded, round(share, 1), one.topic.rpartition("/")[2] == "cmd_vel"
+
+        best = max(others, key=fit, default=None)
+        if best is not None and (shares[best.topic] >= _LEAST_FIT or not measured):
             return best
         if odometry is None:
             raise self._missing(_VELOCITY)
         if best is not None:
-            tally.say(
-                f"{best.text} drives at {fit(best)[0]:.0%} of the images at which "
+            self._tally.say(
+                f"{best.text} drives at {shares[best.topic]:.0%} of the images at which "
                 f"{printable(odometry.topic)} moves; velocities are those of the odometry"
             )
         return odometry
@@ -196,23 +207,21 @@ class Topics:
         cameras = [camera for fit, camera in found if fit == best]
         return cameras[0] if len(cameras) == 1 else None
 
-    def _report(
-        self, images: Stream, velocity: Stream, odometry: Stream | None, tally: Tally
-    ) -> None:
+    def _report(self, images: Stream, velocity: Stream, odometry: Stream | None) -> None:
         if odometry is not None:
-            tally.say(f"odometry from {printable(odometry.topic)}")
+            self._tally.say(f"odometry from {printable(odometry.topic)}")
             unknown = np.isnan(odometry.poses[:, 2])
             if unknown.any():
-                tally.say(
+                self._tally.say(
                     f"{printable(odometry.topic)}: {int(unknown.sum())} of {unknown.size} "
                     "orientations are no rotation (a zero quaternion)"
                 )
-        tally.say(
+        self._tally.say(
             f"images from {printable(images.topic)}, velocities from {printable(velocity.topic)}"
         )
         for one in (velocity, odometry):
             if one is not None and one.sideways_s.size:
-                tally.say_all(
+                self._tally.say_all(
                     f"{printable(one.topic)} goes sideways, without a matching action, at",
                     spans(one.sideways_s - images.times_s[0]),
                 )
@@ -223,7 +232,7 @@ class Topics:
             kinds = printable(", ".join(sorted(set(self._others.values()))), 200)
             rest.append(f"{len(self._others)} of other types ({kinds})")
         if rest:
-            tally.say(f"topics not used: {', '.join(rest)}")
+            self._tally.say(f"topics not used: {', '.join(rest)}")
 
 
 def _thinned(times_s: Array) -> Array:

@@ -8,9 +8,10 @@ from scipy.spatial.transform import Rotation
 from services.importers.drive import Array, Tally
 
 _LEAST_M: Final = 0.05  # Shorter movements are noise, and have no direction.
-#: Concentration of the angles between movement and orientation, from 0 to 1, above which the
-#: orientation turns with the robot: 0.9 is a standard deviation of 26 degrees.
-_LEAST_ALIKE: Final = 0.9
+#: Concentration of the doubled angles between movement and orientation, from 0 to 1, above which
+#: the orientation turns with the robot: 0.65 is a standard deviation of 26 degrees. Doubled angles
+#: are equal ahead and in reverse.
+_LEAST_ALIKE: Final = 0.65
 
 
 def track_of(poses: Array, tally: Tally) -> Array:
@@ -18,8 +19,8 @@ def track_of(poses: Array, tally: Tally) -> Array:
 
     Poses (n, 8) have the columns time, x, y, z and the quaternion x, y, z, w. The vertical axis is
     z, or y of cameras, whichever varies less. Bodies and cameras are mounted in any direction: the
-    robot's heading has a constant angle to its movement, 0 on average. If the orientation does not
-    turn with the movement, the heading is the direction of the movement.
+    robot's heading has a constant angle to its movement, which is mostly ahead. If the orientation
+    does not turn with the movement, the heading is the direction of the movement.
     """
     sound = np.isfinite(poses).all(axis=1)
     tally.count("poses are not numbers", int((~sound).sum()))
@@ -32,9 +33,12 @@ def track_of(poses: Array, tally: Tally) -> Array:
     heading = _heading(ground, poses[:, 4:8])
     rows = _apart(places)
     directions = np.arctan2(*np.diff(places[rows], axis=0).T[::-1])
-    beside = np.exp(1j * (directions - heading[rows[1:]])).mean() if directions.size else 1.0
-    if abs(beside) >= _LEAST_ALIKE:
-        heading = heading + np.angle(beside)
+    beside = np.exp(1j * (directions - heading[rows[1:]])) if directions.size else np.ones(1)
+    doubled = (beside**2).mean()
+    if abs(doubled) >= _LEAST_ALIKE:
+        mount = np.exp(1j * np.angle(doubled) / 2.0)
+        ahead = (beside / mount).real.mean() >= 0.0
+        heading = heading + np.angle(mount if ahead else -mount)
     else:
         tally.say("orientations do not turn with the robot: headings are those of its movement")
         heading = np.interp(np.arange(len(poses)), rows[1:], np.unwrap(directions))

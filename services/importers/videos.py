@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
+from itertools import pairwise
 from typing import IO, Any, Final
 
 import numpy as np
@@ -66,7 +67,9 @@ class Film:
     frame, or, if its first time is later than the end, the video begins there.
     """
 
-    def __init__(self, inside: Inside, name: str, times_s: Array, tally: Tally) -> None:
+    def __init__(
+        self, inside: Inside, name: str, episodes: Sequence[Sequence[Row]], tally: Tally
+    ) -> None:
         self._inside = inside
         self._name = name
         with inside.open(name) as file:
@@ -74,16 +77,30 @@ class Film:
         if self._shown_s.size < 2:
             raise ImportFailure(f"{inside.called(name)}: a video of fewer than two frames")
         self._clock_s = self._shown_s - self._shown_s[0]
-        if self._shown_s.size == times_s.size:
-            self._clock_s = times_s
-        elif times_s[0] > self._clock_s[-1]:
+        self._frame_a_row = self._shown_s.size == sum(map(len, episodes))
+        if self._frame_a_row:
+            return
+        spans_s = [
+            (min(row.time_s for row in rows), max(row.time_s for row in rows)) for rows in episodes
+        ]
+        if any(later[0] < before[1] for before, later in pairwise(sorted(spans_s))):
+            raise ImportFailure(
+                f"{inside.called(name)}: episodes overlap in time; time_s must count from the "
+                "first frame of the video in all of them"
+            )
+        begin_s = episodes[0][0].time_s
+        if begin_s > self._clock_s[-1]:
             tally.say(f"the video {printable(name)} begins at the first row")
-            self._clock_s = self._clock_s + times_s[0]
-        left_out = self._clock_s.size - self._within(times_s.min(), times_s.max()).size
-        tally.count("frames of the video have no row (left out)", left_out)
+            self._clock_s = self._clock_s + begin_s
+        within = self._within(min(spans_s)[0], max(end_s for _, end_s in spans_s))
+        tally.count("frames of the video have no row (left out)", self._clock_s.size - within.size)
 
     def part(self, rows: Sequence[Row]) -> tuple[Array, Images]:
-        """Return the times and the images of the frames from the first to the last row."""
+        """Return the times and the images of the frames of rows, or else within their times."""
+        if self._frame_a_row:
+            numbers = [row.number for row in rows]
+            times_s = np.array([row.time_s for row in rows])
+            return times_s, partial(self._images, self._shown_s[numbers])
         frames = self._within(rows[0].time_s, rows[-1].time_s)
         if not frames.size:
             raise ImportFailure(

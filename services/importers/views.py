@@ -46,12 +46,14 @@ def lateness_s(drive: ImportedDrive) -> float:
     frames = range(min(drive.times_s.size, _MOST_FRAMES))
     if not len(drive.track) or len(frames) < _LEAST_FRAMES:
         return 0.0
-    changes = _changes(_views(drive, frames), frames)
-    at = np.array(sorted(changes))
-    if at.size < _LEAST_FRAMES:
+    views = _views(drive, frames)
+    changes = _changes(views, frames)
+    # After a damaged frame a change is over two periods.
+    at = [frame for frame in changes if frame - 1 in views]
+    if len(at) < _LEAST_FRAMES:
         return 0.0
-    times_s = drive.times_s[np.stack([at - 1, at])]
-    changed = np.array([changes[frame] for frame in at.tolist()])
+    times_s = drive.times_s[np.stack([np.subtract(at, 1), at])]
+    changed = np.array([changes[frame] for frame in at])
     explained = np.array([_explained(changed, drive.track, times_s - late_s) for late_s in _LATE_S])
     best = int(explained.argmax())
     late_s = float(_LATE_S[best])

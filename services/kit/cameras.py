@@ -31,10 +31,11 @@ def camera_of_ros(info: Any) -> Camera:  # noqa: ANN401 - its class is made of i
     """Return the camera of a ROS message; ValueError if it is not calibrated."""
     width = int(info.width)
     height = int(info.height)
-    k = [float(one) for one in info.k]
+    # ROS 1 spells the fields K and D.
+    k = [float(one) for one in (info.k if hasattr(info, "k") else info.K)]
     if width <= 0 or not k[0] > 0.0:
         raise ValueError("no focal length: the camera is not calibrated")
-    distortion = tuple(float(one) for one in info.d)
+    distortion = tuple(float(one) for one in (info.d if hasattr(info, "d") else info.D))
     lens: Any = info.distortion_model if any(distortion) else info.distortion_model or "plumb_bob"
     return Camera(
         k[0] / width, lens, distortion, ((k[2] - width / 2) / width, (k[5] - height / 2) / width)

@@ -1,5 +1,6 @@
 """Pixels of image files of any format, and of raw images of ROS, as 8-bit RGB that stands upright."""
 
+from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import cv2
@@ -62,7 +63,27 @@ _SUPPORTED: Final = (
 )
 
 
-def rgb_of(image: Any) -> Pixels:  # noqa: ANN401 - its class is made of its definition
+@dataclass
+class Depth:
+    """Bits of a camera's numbers, by its largest so far: 8, 10, 12, 14 or 16.
+
+    Sensors of 10 to 14 bits fill 16 from below. One camera has one depth, or else its brightness
+    depends on the brightest pixel of each image.
+    """
+
+    bits: int = 8
+
+    def eight_bits(self, deep: NDArray[np.uint16]) -> Pixels:
+        """Return the upper 8 bits of an image."""
+        bits = 2 * -(-int(deep.max(initial=0)).bit_length() // 2)
+        self.bits = max(self.bits, bits)
+        return np.asarray(deep >> (self.bits - 8), dtype=np.uint8)
+
+
+def rgb_of(
+    image: Any,  # noqa: ANN401 - its class is made of its definition
+    depth: Depth | None = None,
+) -> Pixels:
     """Return the pixels of a `sensor_msgs/msg/Image`; ValueError if it is invalid."""
     layout = ENCODINGS.get(image.encoding)
     if layout is None:
@@ -81,20 +102,21 @@ def rgb_of(image: Any) -> Pixels:  # noqa: ANN401 - its class is made of its def
         raise ValueError(
             f"invalid image: {width}x{height} pixels in {image.data.size} bytes, {image.step} per row"
         )
-    if width % 2 and (layout.channels == 2 or layout.rows > 1.0):
-        raise ValueError(f"invalid width {width}: {image.encoding} needs an even number of columns")
+    planar = layout.rows > 1.0
+    if (width % 2 and (layout.channels == 2 or planar)) or (height % 2 and planar):
+        raise ValueError(f"invalid size {width}x{height}: {image.encoding} needs even numbers")
     packed = np.ascontiguousarray(image.data.reshape(rows, image.step)[:, :wide])
     if layout.bits == 16:
-        packed = eight_bits(packed.view(">u2" if image.is_bigendian else "<u2"))
+        packed = (depth or Depth()).eight_bits(packed.view(">u2" if image.is_bigendian else "<u2"))
     pixels = packed.reshape(rows, width, layout.channels)
     return pixels if layout.to_rgb is None else np.asarray(cv2.cvtColor(pixels, layout.to_rgb))
 
 
-def decode_file(data: bytes) -> Pixels | None:
+def decode_file(data: bytes, depth: Depth | None = None) -> Pixels | None:
     """Return the pixels of an image file, upright by its EXIF orientation; None if unreadable."""
     bgr = decoded(data, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if bgr is not None and bgr.dtype == np.uint16:
-        bgr = eight_bits(bgr)
+        bgr = (depth or Depth()).eight_bits(bgr)
     elif bgr is not None and bgr.dtype != np.uint8:
         bgr = decoded(data, cv2.IMREAD_COLOR)
     if bgr is None or bgr.dtype != np.uint8:
@@ -112,12 +134,6 @@ def decoded(data: bytes, flags: int) -> NDArray[Any] | None:
         return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except (MemoryError, cv2.error):
         return None
-
-
-def eight_bits(deep: NDArray[np.uint16]) -> Pixels:
-    """Return the upper 8 bits of 10, 12, 14 or 16: sensors of these depths fill 16 from below."""
-    bits = 2 * -(-int(deep.max(initial=0)).bit_length() // 2)
-    return np.asarray(deep >> max(bits - 8, 0), dtype=np.uint8)
 
 
 def is_upright(jpeg: bytes) -> bool:

@@ -10,6 +10,7 @@ from typing import Final, Protocol
 from schemas.base import STANDING, Velocity
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail, ServiceError
+from services.kit.pixels import Depth
 from services.robot.body import Beginning, ImuReading, Kinematics
 from services.robot.clock import now_s
 from services.robot.gate import MAX_AGE_S
@@ -59,6 +60,7 @@ class Ros2Body:
         self._clock = clock
         self._frame: Frame | None = None
         self._jpeg = b""
+        self._depth = Depth()
         self._begun_s = clock()
         self._felt_s = 0.0
         self._lacked = False
@@ -151,7 +153,7 @@ class Ros2Body:
         frame = self._senses.frame
         with suppress(MessageError):
             return (
-                picture(frame.message)
+                picture(frame.message, self._depth)
                 if frame and self._clock() - frame.captured_s <= MAX_AGE_S
                 else None
             )
@@ -162,7 +164,7 @@ class Ros2Body:
         if frame is None or frame is self._frame:
             return
         try:
-            self._jpeg = picture(frame.message)
+            self._jpeg = picture(frame.message, self._depth)
             self._frame = frame
         except MessageError as error:
             self._senses.refuse(self._camera, str(error))

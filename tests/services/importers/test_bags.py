@@ -76,6 +76,49 @@ def test_bags_in_a_folder_are_a_drive_each(tmp_path: Path) -> None:
     assert [len(episode_of(file).images) for file in report.files] == [FRAMES, FRAMES]
 
 
+def test_bag_of_ros_1_keeps_its_calibration(tmp_path: Path) -> None:
+    info = bags.calibration("/camera/camera_info")
+    fields = {name.upper() if name == "k" else name: info.fields[name] for name in info.fields}
+    bag = write(tmp_path / "old.bag", [info._replace(fields=fields), *said()], ros1=True)
+    report, _ = imported(bag, "rosbag1", tmp_path / "out")
+    assert episode_of(report).camera.focal_px == pytest.approx(45.0)
+
+
+def test_camera_without_calibration_is_reported(tmp_path: Path) -> None:
+    info = bags.calibration("/camera/camera_info")
+    empty = info._replace(fields=info.fields | {"k": [0.0] * 9})
+    report, tally = imported_of([empty, *said()], tmp_path)
+    check_whole(report)
+    assert remark(tally, "/camera/camera_info", "not calibrated")
+    assert not [line for line in tally.lines() if "do not match their type" in line]
+
+
+@pytest.mark.parametrize("episodes", [(), ("monday",)])
+def test_bags_are_imported_when_another_is_damaged(
+    episodes: tuple[str, ...], tmp_path: Path
+) -> None:
+    (tmp_path / "bags").mkdir()
+    write(tmp_path / "bags/monday.bag", said(), ros1=True)
+    (tmp_path / "bags/broken.bag").write_bytes(b"no bag")
+    report, tally = imported(tmp_path / "bags", "rosbag1", tmp_path / "out", episodes=episodes)
+    check_whole(report)
+    assert any("broken.bag: damaged" in line for line in tally.lines()) == (not episodes)
+
+
+def test_bags_in_folders_are_a_drive_each(tmp_path: Path) -> None:
+    for day in ("monday", "tuesday"):
+        (tmp_path / "bags").mkdir(exist_ok=True)
+        write(tmp_path / "bags" / day, said())
+    report, _ = imported(tmp_path / "bags", "rosbag2", tmp_path / "out")
+    assert [Path(file).name.split("-")[0] for file in report.files] == ["monday", "tuesday"]
+
+
+def test_failure_names_the_remarks(tmp_path: Path) -> None:
+    still = [frame._replace(linear=0.0, angular=0.0) for frame in drive()]
+    with pytest.raises(ImportFailure, match=r"never drives.*velocities from /cmd_vel"):
+        imported_of(said(still, poses=False), tmp_path)
+
+
 def test_bag_of_ros_1_without_index_is_refused(tmp_path: Path) -> None:
     bag = write(tmp_path / "old.bag", said(), ros1=True)
     data = bytearray(bag.read_bytes())
@@ -200,6 +243,20 @@ def test_measured_velocities_are_used_when_they_stand_alone(tmp_path: Path) -> N
     )
     report, _ = imported_of(messages, tmp_path)
     check_whole(report, within_m=0.1)
+
+
+def test_command_is_used_when_measured_twist_fits_better(tmp_path: Path) -> None:
+    kind = "geometry_msgs/msg/TwistWithCovarianceStamped"
+    measured = [
+        one._replace(
+            kind=kind,
+            fields={"header": bags.header(one.received_s), "twist": {"twist": one.fields}},
+        )
+        for one in (command(frame, "/wheels") for frame in drive())
+    ]
+    late = [command(frame) for frame in drive()[20:]]
+    _, tally = imported_of([*said(commands=False), *measured, *late], tmp_path)
+    assert f"images from {IMAGE}, velocities from /cmd_vel" in tally.lines()
 
 
 def test_odometry_is_chosen_by_content_when_none_is_called_odom(tmp_path: Path) -> None:

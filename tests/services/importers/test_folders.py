@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from services.importers.drive import ImportFailure, Tally
 from services.importers.ticks import motion_along
 from services.importers.trajectory import track_of
+from smal.movement import wrapped
 from tests.services.importers import sources
 from tests.services.importers.test_formats import check_drive, episode_of, imported
 
@@ -164,6 +165,14 @@ def test_layout_is_refused_when_it_has_no_poses(tmp_path: Path) -> None:
         imported(folder, "folder", tmp_path / "out")
 
 
+def test_layout_is_refused_when_its_clocks_differ(tmp_path: Path) -> None:
+    folder = tum(tmp_path / "set", OPTICAL)
+    poses = (folder / "groundtruth.txt").read_text()
+    (folder / "groundtruth.txt").write_text(poses.replace("\n17000000", "\n18000000"))
+    with pytest.raises(ImportFailure, match=r"no image at the times of the poses \(1800000000.0"):
+        imported(folder, "folder", tmp_path / "out")
+
+
 def test_heading_is_the_movement_when_a_pose_never_turns() -> None:
     angle = np.linspace(0.0, np.pi, 200)
     still = np.tile([0.0, 0.0, 0.0, 1.0], (200, 1))
@@ -174,6 +183,16 @@ def test_heading_is_the_movement_when_a_pose_never_turns() -> None:
     motion = motion_along(track)
     assert motion[:, 1] == pytest.approx(1.0, abs=0.1)
     assert "orientations do not turn with the robot" in tally.lines()[0]
+
+
+def test_heading_is_kept_when_a_third_is_reversed() -> None:
+    angle = np.concatenate([np.linspace(0.0, 1.0, 200), np.linspace(1.0, 0.5, 100)])
+    turns = Rotation.from_euler("z", angle[:, None] + 2.0).as_quat()
+    places = np.column_stack([4.0 * np.sin(angle), 4.0 - 4.0 * np.cos(angle), 0.0 * angle])
+    tally = Tally()
+    track = track_of(np.column_stack([np.arange(300) / 20.0, places, turns]), tally)
+    assert np.abs(wrapped(track[:, 3] - angle)).max() < 0.1
+    assert not tally.lines()
 
 
 def written_table(
@@ -275,4 +294,33 @@ def test_table_without_images_wants_one_video(tmp_path: Path) -> None:
     folder = film(tmp_path / "set")
     (folder / "drive.mp4").unlink()
     with pytest.raises(ImportFailure, match=r"lacks the columns image; it has time_s, note, lin"):
+        imported(folder, "folder", tmp_path / "out")
+
+
+def film_of_two(folder: Path, frames: int) -> Path:
+    """Write a video of two drives whose times both begin at 0."""
+    film(folder)
+    head, *lines = (folder / "drive.csv").read_text().splitlines()
+    counted = [
+        ",".join([f"{0.05 * at:.2f}", *line.split(",")[1:]]) for at, line in enumerate(lines)
+    ]
+    rows = [f"{line},{episode}" for episode in "ab" for line in counted]
+    (folder / "drive.csv").write_text("\n".join([f"{head},episode", *rows]))
+    images = [moment.image for moment in sources.drive(20.0)]
+    sources.mp4(folder / "drive.mp4", (images * 2)[:frames], 20)
+    return folder
+
+
+def test_video_of_two_drives_gives_each_its_frames(tmp_path: Path) -> None:
+    folder = film_of_two(tmp_path / "set", 2 * len(sources.drive(20.0)))
+    report, _ = imported(folder, "folder", tmp_path / "out")
+    first, second = (episode_of(file) for file in report.files)
+    check_drive(first, blurred=3)
+    check_drive(second, blurred=3)
+    assert bytes(first.images[0]) != bytes(second.images[0])
+
+
+def test_video_is_refused_when_episodes_overlap(tmp_path: Path) -> None:
+    folder = film_of_two(tmp_path / "set", 100)
+    with pytest.raises(ImportFailure, match="episodes overlap in time"):
         imported(folder, "folder", tmp_path / "out")

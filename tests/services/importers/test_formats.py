@@ -25,6 +25,7 @@ from tests import corridor
 from tests.services.importers import sources
 
 pytest.importorskip("rosbags", reason="needs the extra formats")
+pq = pytest.importorskip("pyarrow.parquet", reason="needs the extra formats")
 
 MADE = (
     ["forward"] * 15 + ["left"] * 4 + ["right"] * 4 + ["forward"] * 10 + ["stop"]
@@ -216,6 +217,45 @@ def test_velocities_are_found_by_their_names(
     check_drive(episode_of(imported(dataset, "lerobot", tmp_path / "out", **fields)[0]))
 
 
+def test_velocities_are_numbered_when_there_is_no_action(tmp_path: Path) -> None:
+    dataset = sources.lerobot(tmp_path / "set", video=False, episodes=1)
+    info = dataset / "meta/info.json"
+    info.write_text(info.read_text().replace('"action"', '"observation.state"'))
+    (file,) = dataset.glob("data/*/*.parquet")
+    table = pq.read_table(file)
+    names = [name.replace("action", "observation.state") for name in table.column_names]
+    pq.write_table(table.rename_columns(names), file)
+    report, _ = imported(dataset, "lerobot", tmp_path / "out", velocity="1,3")
+    check_drive(episode_of(report))
+
+
+@pytest.mark.parametrize(
+    ("form", "option"),
+    [
+        ("rosbag2", {"rate_hz": 10.0}),
+        ("lerobot", {"rate_hz": 10.0}),
+        ("donkeycar", {"odometry": "/odom"}),
+        ("folder", {"velocity": "a,b"}),
+    ],
+)
+def test_option_without_effect_is_refused(
+    form: str, option: dict[str, object], tmp_path: Path
+) -> None:
+    with pytest.raises(ImportFailure, match=r"--\w+ has no effect on a \w+; omit it"):
+        imported(FORMATS[form](tmp_path / "source"), form, tmp_path / "out", **option)
+
+
+def test_tub_is_one_drive_when_its_clock_steps_back(tmp_path: Path) -> None:
+    def change(record: dict[str, object]) -> None:
+        if int(str(record["_index"])) >= 30:
+            record["_timestamp_ms"] = int(str(record["_timestamp_ms"])) - 3000
+
+    tub = sources.donkeycar(tmp_path / "tub", change=change)
+    report, tally = imported(tub, "donkeycar", tmp_path / "out")
+    check_drive(episode_of(report))
+    assert any("the clock is set back by 3.0 s" in line for line in tally.lines())
+
+
 def test_dataset_counts_sideways_when_velocities_are_named(
     tmp_path: Path,
 ) -> None:
@@ -327,7 +367,7 @@ def test_fields_of_a_tub_are_those_of_its_manifest(tmp_path: Path) -> None:
     check_drive(episode_of(imported(tub, "donkeycar", tmp_path / "out")[0]))
     for file in tub.glob("*.*"):
         file.write_text(file.read_text().replace("steering", "wheel"))
-    with pytest.raises(ImportFailure, match="steering: 0 fields found; choose from eye, wheel, th"):
+    with pytest.raises(ImportFailure, match="steering: 0 found; choose from eye, wheel, th"):
         imported(tub, "donkeycar", tmp_path / "out")
     named = imported(tub, "donkeycar", tmp_path / "named", velocity="wheel, throttle")
     check_drive(episode_of(named[0]))

@@ -19,7 +19,14 @@ from tests.fuzz.targets import check_line
 from tests.services.importers import bags, sources
 from tests.services.importers.sources import CAMERA
 from tests.services.importers.test_folders import LAYOUTS, film
-from tests.services.importers.test_formats import FORMATS, FRAMES, MADE, episode_of, imported
+from tests.services.importers.test_formats import (
+    FORMATS,
+    FRAMES,
+    MADE,
+    check_drive,
+    episode_of,
+    imported,
+)
 
 pa = pytest.importorskip("pyarrow", reason="needs the extra formats")
 NOTHING_ZIPPED = b"PK\x05\x06" + bytes(18)  # The end of a zip file, and nothing before it.
@@ -182,6 +189,30 @@ def jpeg_that_claims(pixels: int) -> bytes:
     return jpeg[:at] + pixels.to_bytes(2, "big") * 2 + jpeg[at + 4 :]
 
 
+def test_import_encodes_jpeg_with_fill_bytes_again(tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set", 10.0)
+    for file in folder.glob("*.jpg"):
+        data = file.read_bytes()
+        file.write_bytes(data[:2] + b"\xff" + data[2:])
+    report, tally = imported(folder, "folder", tmp_path / "out")
+    check_drive(episode_of(report))
+    assert tally.counts["images are JPEG of a rare form, encoded again"] == len(MADE)
+
+
+def test_refusal_ignores_the_neighbours_of_a_file(tmp_path: Path) -> None:
+    sources.donkeycar(tmp_path / "data/tub")
+    (tmp_path / "notes.txt").touch()
+    said = refused(tmp_path / "notes.txt", "folder", tmp_path)
+    assert "a file, not of the format folder" in said
+    assert "donkeycar" not in said
+
+
+def test_empty_dataset_has_no_drives(tmp_path: Path) -> None:
+    dataset = sources.lerobot(tmp_path / "set", "v2.1", video=False)
+    (dataset / LINES).write_text("")
+    assert "no drives in this source" in refused(dataset, "lerobot", tmp_path)
+
+
 def test_import_counts_invalid_images(tmp_path: Path) -> None:
     images = [
         png_that_claims(30_000, 30_000), png_that_claims(4000, 3000), png_that_claims(0, 0), png_that_claims(2**31, 1),
@@ -228,7 +259,7 @@ def test_import_counts_invalid_numbers_of_a_tub(field: str, tmp_path: Path) -> N
             '"elbow"',
             "no linear and angular velocity of a base in action: arm_wrist.pos, x.vel",
         ),
-        ('"video"', '"float32"', "0 cameras (none)"),
+        ('"video"', '"float32"', "camera: 0 found; choose from none"),
         ('"features"', '"feature"', "features: Field required"),
         (f'"{CAMERA}"', '"../../../../secret"', "lacks the column"),
         (f'"{CAMERA}"', '"{0.__class__}"', "lacks the column"),
@@ -407,11 +438,8 @@ def test_import_rejects_invalid_tables(text: str, said: str, tmp_path: Path) -> 
     assert said in refused(folder, "folder", tmp_path)
 
 
-def test_import_rejects_bag_folders_and_own_recordings(tmp_path: Path) -> None:
-    bag = sources.rosbag2(tmp_path / "bags/monday")
-    assert "monday in it is a bag: import each bag separately" in refused(
-        tmp_path / "bags", "rosbag2", tmp_path
-    )
+def test_import_rejects_own_recordings(tmp_path: Path) -> None:
+    bag = sources.rosbag2(tmp_path / "bag")
     report, _ = imported(bag, "rosbag2", tmp_path / "recordings")
     said = refused(Path(report.files[0]), "rosbag2", tmp_path)
     assert "among none; " in said
