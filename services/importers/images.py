@@ -19,7 +19,7 @@ from services.importers.drive import (
 )
 from services.importers.inside import Inside
 from services.kit.jpeg import encode_jpeg, jpeg_size, shrunk
-from services.kit.pixels import ENCODINGS, FORMATS, Depth, decode_file, is_upright, rgb_of
+from services.kit.pixels import ENCODINGS, FORMATS, BitDepth, decode_file, is_upright, rgb_of
 
 MOST_BYTES: Final = CompressedImage.max_bytes - 2**16  # Maximum size of an image file, bytes.
 _MOST: Final = (4096, 3072)  # Maximum columns and rows of a recorded image.
@@ -32,7 +32,7 @@ _PNG: Final = b"\x89PNG"
 _DEPTH_HEADER: Final = 12  # Bytes before the PNG of a depth image that ROS compressed.
 
 
-def as_jpeg(data: bytes, tally: Tally, depth: Depth, announced: str = "") -> bytes:
+def as_jpeg(data: bytes, tally: Tally, depth: BitDepth, announced: str = "") -> bytes:
     """Return an image file as an upright JPEG; raises `NotAnImage` if it does not decode.
 
     The source can announce a format; the content decides.
@@ -58,7 +58,7 @@ def as_jpeg(data: bytes, tally: Tally, depth: Depth, announced: str = "") -> byt
 def ros_as_jpeg(
     image: Any,  # noqa: ANN401 - its class is made of its definition
     tally: Tally,
-    depth: Depth,
+    depth: BitDepth,
 ) -> bytes:
     """Return a `CompressedImage` or an `Image` of ROS as JPEG; raises `NotAnImage` if invalid."""
     if hasattr(image, "format"):
@@ -142,11 +142,11 @@ def drive_of(
 
 def files(names: Sequence[str], inside: Inside, tally: Tally) -> Images:
     """Return the image files of a folder as JPEG."""
-    depth = Depth()
+    depth = BitDepth()
     return lambda: (partial(_image, inside, name, tally, depth) for name in names)
 
 
-def _image(inside: Inside, name: str, tally: Tally, depth: Depth) -> bytes:
+def _image(inside: Inside, name: str, tally: Tally, depth: BitDepth) -> bytes:
     try:
         return as_jpeg(inside.read(inside.spelled(name), MOST_BYTES), tally, depth)
     except ImportFailure as error:

@@ -26,7 +26,7 @@ from services.importers.inside import Inside
 from services.importers.job import ImportJob, choose
 from services.importers.ticks import LEAST_LINEAR
 from services.importers.videos import frames_at
-from services.kit.pixels import Depth
+from services.kit.pixels import BitDepth
 
 #: Metres and radians per second, and the pose by odometry, in our own data sets.
 VELOCITIES: Final = ("linear_velocity", "angular_velocity")
@@ -140,7 +140,7 @@ class _DataSet:
     def __init__(self, inside: Inside, job: ImportJob, tally: Tally) -> None:
         self._inside = inside
         self._tally = tally
-        self._depth = Depth()
+        self._depth = BitDepth()
         self.info = inside.parsed(_Info, inside.read(INFO), INFO)
         self._camera = _camera(self.info, job, inside.called(INFO))
         self._velocity = _velocity(self.info, job, inside.called(INFO))
@@ -313,7 +313,7 @@ def _plain(name: str) -> str:
     return re.sub(r"[.\s/_]+", "_", name.strip().lower())
 
 
-def _cell(cell: Any, tally: Tally, depth: Depth) -> bytes:  # noqa: ANN401 - of a package without types
+def _cell(cell: Any, tally: Tally, depth: BitDepth) -> bytes:  # noqa: ANN401 - of a package without types
     value = cell.as_py()
     data = value.get("bytes") if isinstance(value, dict) else value
     if not isinstance(data, bytes):

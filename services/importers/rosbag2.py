@@ -17,7 +17,7 @@ from services.importers.images import ros_as_jpeg
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
 from services.importers.topics import Topics
-from services.kit.pixels import Depth
+from services.kit.pixels import BitDepth
 
 #: Largest number of images that wait for an image before them: two seconds at 60 Hz.
 _MOST_WAITING: Final = 120
@@ -53,7 +53,7 @@ def _drives(
     drive = ImportedDrive.of_rows(
         name,
         images.times_s,
-        partial(_images, inside, files, images.numbers, tally, Depth()),
+        partial(_images, inside, files, images.numbers, tally, BitDepth()),
         velocity.reported * scale,
         [] if odometry is None else odometry.track,
         tally,
@@ -64,7 +64,7 @@ def _drives(
 
 
 def _images(
-    inside: Inside, files: list[str], numbers: NDArray[np.int64], tally: Tally, depth: Depth
+    inside: Inside, files: list[str], numbers: NDArray[np.int64], tally: Tally, depth: BitDepth
 ) -> Iterator[Image]:
     """Yield the images with these numbers of messages, in this order."""
     wanted = set(numbers.tolist())
@@ -85,7 +85,7 @@ def _images(
             first = next(due, None)
 
 
-def _image(message: Received, tally: Tally, depth: Depth) -> bytes:
+def _image(message: Received, tally: Tally, depth: BitDepth) -> bytes:
     try:
         image = decoded(message)
     except ValueError:

@@ -64,7 +64,7 @@ _SUPPORTED: Final = (
 
 
 @dataclass
-class Depth:
+class BitDepth:
     """Bits of a camera's numbers, by its largest so far: 8, 10, 12, 14 or 16.
 
     Sensors of 10 to 14 bits fill 16 from below. One camera has one depth, or else its brightness
@@ -82,7 +82,7 @@ class Depth:
 
 def rgb_of(
     image: Any,  # noqa: ANN401 - its class is made of its definition
-    depth: Depth | None = None,
+    depth: BitDepth | None = None,
 ) -> Pixels:
     """Return the pixels of a `sensor_msgs/msg/Image`; ValueError if it is invalid."""
     layout = ENCODINGS.get(image.encoding)
@@ -107,16 +107,18 @@ def rgb_of(
         raise ValueError(f"invalid size {width}x{height}: {image.encoding} needs even numbers")
     packed = np.ascontiguousarray(image.data.reshape(rows, image.step)[:, :wide])
     if layout.bits == 16:
-        packed = (depth or Depth()).eight_bits(packed.view(">u2" if image.is_bigendian else "<u2"))
+        packed = (depth or BitDepth()).eight_bits(
+            packed.view(">u2" if image.is_bigendian else "<u2")
+        )
     pixels = packed.reshape(rows, width, layout.channels)
     return pixels if layout.to_rgb is None else np.asarray(cv2.cvtColor(pixels, layout.to_rgb))
 
 
-def decode_file(data: bytes, depth: Depth | None = None) -> Pixels | None:
+def decode_file(data: bytes, depth: BitDepth | None = None) -> Pixels | None:
     """Return the pixels of an image file, upright by its EXIF orientation; None if unreadable."""
     bgr = decoded(data, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if bgr is not None and bgr.dtype == np.uint16:
-        bgr = (depth or Depth()).eight_bits(bgr)
+        bgr = (depth or BitDepth()).eight_bits(bgr)
     elif bgr is not None and bgr.dtype != np.uint8:
         bgr = decoded(data, cv2.IMREAD_COLOR)
     if bgr is None or bgr.dtype != np.uint8:

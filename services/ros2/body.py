@@ -10,7 +10,7 @@ from typing import Final, Protocol
 from schemas.base import STANDING, Velocity
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail, ServiceError
-from services.kit.pixels import Depth
+from services.kit.pixels import BitDepth
 from services.robot.body import Beginning, ImuReading, Kinematics
 from services.robot.clock import now_s
 from services.robot.gate import MAX_AGE_S
@@ -60,7 +60,7 @@ class Ros2Body:
         self._clock = clock
         self._frame: Frame | None = None
         self._jpeg = b""
-        self._depth = Depth()
+        self._depth = BitDepth()
         self._begun_s = clock()
         self._felt_s = 0.0
         self._lacked = False

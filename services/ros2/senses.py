@@ -16,7 +16,7 @@ from schemas.camera import CompressedImage
 from schemas.motion import MAX_SAMPLES
 from services.kit.cameras import camera_of_ros
 from services.kit.jpeg import decode_jpeg, encode_jpeg
-from services.kit.pixels import Depth, is_upright, rgb_of
+from services.kit.pixels import BitDepth, is_upright, rgb_of
 from services.kit.ros_message import LARGEST_BYTES
 from services.kit.throttle import Throttle
 from services.robot.body import ImuReading, Triple
@@ -314,7 +314,7 @@ def _check_finite(what: str, values: tuple[float, ...], most: float) -> None:
         raise MessageError(f"invalid {what}: must be finite and at most {most:g}")
 
 
-def picture(message: RosMessage, depth: Depth | None = None) -> bytes:
+def picture(message: RosMessage, depth: BitDepth | None = None) -> bytes:
     """Return a message's image as JPEG; MessageError if it is invalid."""
     try:
         if hasattr(message, "format"):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from services.kit.jpeg import decode_jpeg
-from services.kit.pixels import ENCODINGS, Depth, decode_file, is_upright, rgb_of
+from services.kit.pixels import ENCODINGS, BitDepth, decode_file, is_upright, rgb_of
 
 COARSE = np.random.default_rng(1).integers(40, 216, (4, 5, 3), dtype=np.uint8)
 PICTURE = cv2.resize(COARSE, (64, 48), interpolation=cv2.INTER_CUBIC)
@@ -109,14 +109,14 @@ def test_ros_image_is_refused_when_height_is_odd() -> None:
 
 def test_image_of_12_bits_is_bright_when_stored_in_16() -> None:
     deep = (PICTURE.astype(np.uint16) << 4) + 3
-    np.testing.assert_array_equal(Depth().eight_bits(deep), PICTURE)
+    np.testing.assert_array_equal(BitDepth().eight_bits(deep), PICTURE)
     np.testing.assert_array_equal(decode_file(png(deep)), PICTURE)
-    assert not Depth().eight_bits(np.zeros((2, 2), np.uint16)).any()
+    assert not BitDepth().eight_bits(np.zeros((2, 2), np.uint16)).any()
 
 
 def test_depth_of_a_stream_is_kept_when_an_image_is_dark() -> None:
     deep = PICTURE.astype(np.uint16) << 4
-    depth = Depth()
+    depth = BitDepth()
     decode_file(png(deep), depth)
     np.testing.assert_array_equal(decode_file(png(deep // 8), depth), deep // 8 >> 4)
 
