@@ -43,10 +43,9 @@ _TURNS: Final = {
     270: cv2.ROTATE_90_COUNTERCLOCKWISE,
 }
 _log = logging.getLogger("serial")
-# Streams arrive without buffering, and their errors are ours to report.
-os.environ.setdefault(
-    "OPENCV_FFMPEG_CAPTURE_OPTIONS", "fflags;nobuffer|flags;low_delay|rtsp_transport;tcp"
-)
+#: Options of FFmpeg by which a stream arrives without buffering.
+_UNBUFFERED: Final = "fflags;nobuffer|flags;low_delay|rtsp_transport;tcp"
+# Errors of streams are ours to report.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
@@ -181,7 +180,12 @@ def opened(config: CameraConfig) -> cv2.VideoCapture:
         # One thread decodes, since every further one delays the pictures by one.
         limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_MS,
                   cv2.CAP_PROP_N_THREADS, 1]  # fmt: skip
-        return cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
+        # OpenCV reads the options from the environment. They cost a video file its last frame.
+        if "://" in source:
+            os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = _UNBUFFERED
+        capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
+        os.environ.pop("OPENCV_FFMPEG_CAPTURE_OPTIONS", None)
+        return capture
     capture = cv2.VideoCapture(source, cv2.CAP_V4L2)
     # Compressed, since raw pictures of this size exceed USB 2 at 30 pictures a second.
     capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
