@@ -318,11 +318,7 @@ class Filter:
         """
         components = self._map.described(centred)
         keyframes, stand_for = self._map.likely(components)
-        places = np.full(TURNS_DEG.size, 1)
-        turns = np.arange(TURNS_DEG.size)
-        cosines = self._map.best_variant(
-            keyframes, lambda _, rows: self._map.cosines(components, rows[:, None], places, turns)
-        )
+        cosines = self._map.ahead_cosines(components, keyframes)
         middle, spread = scale(self._map.sample @ components)
         like_blank = float(components @ self._map.blank)
         empty = not components.any()

@@ -183,6 +183,17 @@ class VisualMap:
                 best[subset] = np.maximum(best[subset], scores)
         return best
 
+    def ahead_cosines(self, components: Float32s, keyframes: Indices) -> Float32s:
+        """Return the cosines of a frame (r,) with the views from keyframes (n,) themselves, (n, turns).
+
+        The best view variant of each keyframe counts.
+        """
+        middle = np.full(TURNS_DEG.size, 1)
+        turns = np.arange(TURNS_DEG.size)
+        return self.best_variant(
+            keyframes, lambda _, rows: self.cosines(components, rows[:, None], middle, turns)
+        )
+
     @cached_property
     def reference(self) -> Indices:
         """Keyframes whose own views are the sample of elsewhere, evenly spread."""

@@ -9,7 +9,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from smal.arrays import AnyArray, Float32s, Floats, Uint8s
-from smal.camera import TURNS_DEG
 from smal.camera_change import CameraPitch
 from smal.features import extract
 from smal.features.detectors import Detection
@@ -380,7 +379,8 @@ class Robot:
             Linear velocity ahead and angular velocity to the left, as shares of the robot's own, -1 to 1.
         """
         percept = perceive(image, self._localizer.features)
-        if len(self._swapped) < _COLOURS_CHECKED:
+        # One image that is less like the map when swapped settles it.
+        if len(self._swapped) < _COLOURS_CHECKED and min(self._swapped, default=1.0) > 0.0:
             self._check_colours(image, percept.features)
         located = self._localizer.locate(percept, odometry, [self.made], elapsed_s)
         self.belief = located.whole
@@ -415,8 +415,7 @@ class Robot:
         """Return the cosine of a frame with the taught view that is most like it."""
         components = self._map.described(self._model.centering.apply(features))
         keyframes, _ = self._map.likely(components)
-        turns = np.arange(TURNS_DEG.size)
-        return float(self._map.cosines(components, keyframes[:, None], np.array(1), turns).max())
+        return float(self._map.ahead_cosines(components, keyframes).max())
 
     @property
     def where(self) -> TaughtPlace:

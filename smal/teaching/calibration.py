@@ -17,7 +17,7 @@ from smal.arrays import AnyArray, Bools, Float32s, Floats, Indices, Int8s, Int32
 from smal.camera import STEP_DEG, STRAIGHT, TURNS_DEG, Camera, Image, Scene
 from smal.features.extraction import in_parallel
 from smal.features.resizing import PIXELS, fitted
-from smal.files.packed import unit, unpacked
+from smal.files.packed import unpacked
 from smal.keyframes import MapConfig
 from smal.likelihood import Likelihood, standing_out
 from smal.movement import Atom, seen_from, turns_ahead, wrapped
@@ -518,7 +518,7 @@ def likelihood_of_views(
     frames: TaughtFrames,
     keyframes: Int32s,
     views: Int8s,
-    basis: Float32s,
+    view_of: Callable[[Image], Float32s],
     length: float,
     config: MapConfig,
 ) -> tuple[Likelihood, float]:
@@ -539,7 +539,8 @@ def likelihood_of_views(
     frames : TaughtFrames
     keyframes : array (k,)
     views : array (k, 3, turns, r)
-    basis : array (m, r)
+    view_of : callable
+        Returns the components (r,) of an image.
     length : float
         Correlation length.
     config : MapConfig
@@ -577,8 +578,7 @@ def likelihood_of_views(
 
     @cache
     def mirrored_view(key: int) -> Float32s:
-        image = np.ascontiguousarray(frames.images[keyframes[key]][:, ::-1])
-        return unit(frames.describe([image])[0] @ basis)
+        return view_of(np.ascontiguousarray(frames.images[keyframes[key]][:, ::-1]))
 
     def mirrored(keys: Indices) -> Float32s:
         return np.stack(list(in_parallel(mirrored_view, keys.tolist())))

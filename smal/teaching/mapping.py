@@ -124,7 +124,11 @@ def learn(
     keyframes = _choose_keyframes(frames.poses, frames.drives, length, config)
     views_of = partial(_views_of, scene, aside, centering)
     views, basis = _make_views(frames, keyframes, views_of, progress, parallel, config)
-    likelihood, correlation = likelihood_of_views(frames, keyframes, views, basis, length, config)
+
+    def view_of(image: Image) -> Float32s:
+        return unit(frames.describe([image])[0] @ basis)
+
+    likelihood, correlation = likelihood_of_views(frames, keyframes, views, view_of, length, config)
     grey = np.full_like(frames.images[0], 128)
     height, width = images[0].shape[:2]
     visual_map = VisualMap(
@@ -133,7 +137,7 @@ def learn(
         keyframes=keyframes,
         basis=basis,
         views=views,
-        blank=unit(frames.describe([grey])[0] @ basis),
+        blank=view_of(grey),
         correlation_length=length,
         correlation_rad=correlation_turn(frames, camera, unrelated),
         log_ratio=likelihood.log_ratio,
