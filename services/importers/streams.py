@@ -15,6 +15,7 @@ from services.importers.bags import Received, decoded, header_of
 from services.importers.clocks import Times
 from services.importers.drive import MOST_SAMPLES, Array, ImportFailure
 from services.importers.ticks import HOLD_S, LEAST_LINEAR, motion_along, moving
+from services.kit.ros_message import heading_of
 
 COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
 RAW: Final = "sensor_msgs/msg/Image"
@@ -40,9 +41,9 @@ class Stream:
 
     topic: str
     type: str
-    frame: str = ""  # Of the first header.
+    frame: str = ""  # Frame of the first header.
     depth: bool = False  # Whether images are distances.
-    times_s: Array = field(default_factory=lambda: np.zeros(0))  # Of capture, ascending.
+    times_s: Array = field(default_factory=lambda: np.zeros(0))  # Times of capture, ascending.
     _values: "array[float]" = field(default_factory=lambda: array("d"))
     _rows: Array = field(default_factory=lambda: np.zeros((0, _COLUMNS)))  # In order of capture.
 
@@ -173,8 +174,5 @@ def _planar(pose: Any) -> tuple[float, float, float]:  # noqa: ANN401 - as above
     turn = pose.orientation
     # Products of numbers without meaning are infinite, but powers raise an error.
     norm = turn.w * turn.w + turn.x * turn.x + turn.y * turn.y + turn.z * turn.z
-    heading = math.atan2(
-        2.0 * (turn.w * turn.z + turn.x * turn.y),
-        norm - 2.0 * (turn.y * turn.y + turn.z * turn.z),
-    )
-    return pose.position.x, pose.position.y, heading if norm > 0.5 else math.nan
+    heading = heading_of(turn) if norm > 0.5 else math.nan
+    return pose.position.x, pose.position.y, heading

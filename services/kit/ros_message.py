@@ -1,5 +1,6 @@
-"""Construction of ROS 2 messages from their fields."""
+"""Construction of ROS 2 messages from their fields, and headings of their orientations."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -9,6 +10,12 @@ from services.kit.jpeg import MOST_PIXELS
 
 #: Maximum size of a message: a camera's maximum pixels with three bytes each, and a header.
 LARGEST_BYTES: Final = 3 * MOST_PIXELS + 4096
+
+
+def heading_of(quaternion: Any) -> float:  # noqa: ANN401 - without types
+    """Return the heading of an orientation, radians counter-clockwise; 0 for a zero quaternion."""
+    w, x, y, z = quaternion.w, quaternion.x, quaternion.y, quaternion.z
+    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
 def ros_message(store: Any, kind: str, fields: Mapping[str, Any] | None = None) -> Any:  # noqa: ANN401 - without types

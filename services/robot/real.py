@@ -14,7 +14,7 @@ from schemas.codec import describe, printable
 from schemas.rpc import ResetRequest
 from services.kit.errors import UsageError
 from services.kit.node import ServiceError
-from services.robot.body import ImuReading, OdometryReading
+from services.robot.body import ImuReading, Kinematics, OdometryReading
 from services.robot.loop import check_stopping
 from services.robot.service import RobotSettings
 
@@ -44,6 +44,11 @@ class BaseConfig(ConfigPart):
     #: Time without a command after which the base stops by itself; a base without a watchdog must
     #: not be driven.
     watchdog_s: Positive
+
+    @property
+    def kinematics(self) -> Kinematics:
+        """Speeds and turning radius of the base."""
+        return Kinematics(self.speed_m_s, self.turn_rate_rad_s, self.radius_m)
 
 
 class BaseSettings(RobotSettings):

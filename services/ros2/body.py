@@ -11,7 +11,7 @@ from schemas.base import STANDING, Velocity
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail, ServiceError
 from services.kit.pixels import BitDepth
-from services.robot.body import Beginning, ImuReading, Kinematics
+from services.robot.body import Beginning, ImuReading
 from services.robot.clock import now_s
 from services.robot.gate import MAX_AGE_S
 from services.robot.real import RealView, check_real
@@ -50,7 +50,7 @@ class Ros2Body:
         self, config: Ros2Config, senses: Senses, link: Link, clock: Callable[[], float] = now_s
     ) -> None:
         self.name = config.name
-        self.kinematics = Kinematics(config.speed_m_s, config.turn_rate_rad_s, config.radius_m)
+        self.kinematics = config.kinematics
         self.watchdog_s = config.watchdog_s
         self.braking_s = config.braking_s
         self._config = config

@@ -17,7 +17,7 @@ from schemas.motion import MAX_SAMPLES
 from services.kit.cameras import camera_of_ros
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.kit.pixels import BitDepth, is_upright, rgb_of
-from services.kit.ros_message import LARGEST_BYTES
+from services.kit.ros_message import LARGEST_BYTES, heading_of
 from services.kit.throttle import Throttle
 from services.robot.body import ImuReading, Triple
 from services.robot.clock import now_s
@@ -186,8 +186,7 @@ class Senses:
 
     def _roll(self, message: RosMessage, made_s: float) -> None:
         pose = message.pose.pose
-        q = pose.orientation
-        heading_rad = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
+        heading_rad = heading_of(pose.orientation)
         _check_finite("pose", (pose.position.x, pose.position.y, heading_rad), 1e6)
         self.track.add(made_s, pose.position.x, pose.position.y, heading_rad)
 

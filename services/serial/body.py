@@ -8,7 +8,7 @@ from schemas.base import STANDING, Velocity
 from schemas.rpc import ResetRequest
 from services.kit.jpeg import encode_jpeg
 from services.kit.node import Detail, ServiceError
-from services.robot.body import Beginning, Kinematics
+from services.robot.body import Beginning
 from services.robot.clock import SILENCE_S, now_s
 from services.robot.gate import MAX_AGE_S
 from services.robot.real import RealView, check_real
@@ -41,7 +41,7 @@ class SerialBody:
         clock: Callable[[], float] = now_s,
     ) -> None:
         self.name = config.name
-        self.kinematics = Kinematics(config.speed_m_s, config.turn_rate_rad_s, config.radius_m)
+        self.kinematics = config.kinematics
         self.watchdog_s = config.watchdog_s
         self.braking_s = config.braking_s
         self._config = config

@@ -43,6 +43,7 @@ _TURNS: Final = {
     270: cv2.ROTATE_90_COUNTERCLOCKWISE,
 }
 _log = logging.getLogger("serial")
+_OPTIONS: Final = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 #: Options of FFmpeg by which a stream arrives without buffering.
 _UNBUFFERED: Final = "fflags;nobuffer|flags;low_delay|rtsp_transport;tcp"
 # Errors of streams are ours to report.
@@ -181,10 +182,12 @@ def opened(config: CameraConfig) -> cv2.VideoCapture:
         limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_MS,
                   cv2.CAP_PROP_N_THREADS, 1]  # fmt: skip
         # OpenCV reads the options from the environment. They cost a video file its last frame.
-        if "://" in source:
-            os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = _UNBUFFERED
+        ours = "://" in source and _OPTIONS not in os.environ
+        if ours:
+            os.environ[_OPTIONS] = _UNBUFFERED
         capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
-        os.environ.pop("OPENCV_FFMPEG_CAPTURE_OPTIONS", None)
+        if ours:
+            del os.environ[_OPTIONS]
         return capture
     capture = cv2.VideoCapture(source, cv2.CAP_V4L2)
     # Compressed, since raw pictures of this size exceed USB 2 at 30 pictures a second.

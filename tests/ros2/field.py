@@ -5,7 +5,6 @@ import math
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
@@ -42,6 +41,7 @@ from services.simulator.world.route import plan_route
 from services.simulator.world.task import sample_start
 from services.table import stack_services
 from tests.ros2.truth import Truth
+from tests.services.real_base import until
 
 STARTED_S = 100.0
 
@@ -144,14 +144,6 @@ class Field:
     def moving(self) -> bool:
         """Whether it moves."""
         return self.truth["ahead_m_s"] != 0.0 or self.truth["turn_rad_s"] != 0.0
-
-
-def until(holds: Callable[[], object], timeout_s: float = STARTED_S) -> None:
-    """Wait until something holds."""
-    deadline_s = time.monotonic() + timeout_s
-    while not holds():
-        assert time.monotonic() < deadline_s, f"not within {timeout_s} s: {holds}"
-        time.sleep(0.005)
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from services.ros2.config import PRESETS, read_config
 from services.ros2.messages import Messages
 from services.ros2.senses import Senses
 from tests.command import run_smal
+from tests.services.real_base import check_refusal
 
 
 @pytest.mark.parametrize("preset", known_presets(PRESETS))
@@ -72,13 +73,7 @@ BASE = "preset: generic\nwatchdog_s: 0.2\n"
 def test_config_is_refused_in_one_line_when_it_is_wrong(
     text: str, line: str, tmp_path: Path
 ) -> None:
-    path = tmp_path / "mine.yaml"
-    path.write_text(text)
-    with pytest.raises(UsageError) as caught:
-        read_config(path)
-    assert line in str(caught.value)
-    assert "\n" not in str(caught.value)
-    assert len(str(caught.value)) < 500
+    check_refusal(read_config, text, line, tmp_path)
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 
 import pytest
@@ -15,12 +15,12 @@ from schemas import topics
 from schemas.codec import decode
 from schemas.command import Command
 from schemas.motion import Odometry
-from schemas.rpc import ArmRequest, Nothing, ResetReply, ResetRequest, Status
 from services.cli.stack import free_endpoint
-from services.kit.bus import Bus, Router, RpcError
+from services.kit.bus import Bus, Router
 from services.robot.loop import STAND_WITHIN_S
 from tests.ros2.fake_turtlebot import now_s
-from tests.ros2.field import Field, Robot, robot_for, until
+from tests.ros2.field import Field, Robot, robot_for
+from tests.services.real_base import DrivenBase, until
 from tests.services.waiting import collected
 
 pytestmark = [pytest.mark.rendering, pytest.mark.zenoh, pytest.mark.system]
@@ -30,7 +30,7 @@ AHEAD_S = 3600.0  # By how much the robot's clock is ahead of ours.
 
 
 @dataclass
-class Driven:
+class Driven(DrivenBase):
     """A fake robot, the service that drives it, and a driver that turns it on the spot."""
 
     place: Field
@@ -55,29 +55,8 @@ class Driven:
             )
 
     @property
-    def detail(self) -> dict[str, object]:
-        """Return the status of the service, empty while it does not answer."""
-        try:
-            return dict(self.bus.call("robot", "status", Nothing(), Status, timeout_s=1.0).detail)
-        except RpcError:
-            return {}
-
-    def moves(self) -> bool:
-        """Have it move, if it does not: arm it, begin an episode."""
-        detail = self.detail
-        if not detail:
-            return False
-        with suppress(RpcError):
-            if detail["latched_stop"]:
-                self.bus.call(
-                    "robot", "arm", ArmRequest(stop=int(str(detail["latched_stop"]))), Nothing
-                )
-            if detail["episode"] is None:
-                request = ResetRequest(seed=1, driver="expert", mode="realtime", max_ticks=100_000)
-                self.bus.call("robot", "reset", request, ResetReply)
-        began_s = now_s()
-        with suppress(AssertionError):
-            until(lambda: self.place.moving and now_s() - began_s > 0.3, 2.0)
+    def moving(self) -> bool:
+        """Whether the wheels turn."""
         return self.place.moving
 
 

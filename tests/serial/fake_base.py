@@ -55,7 +55,7 @@ class Base:
         self.harm = folder / "harm"
         self.harmed = ""
         self.due_s = now_s()
-        self.fd = -1  # Of the link; without one its odometry is lost.
+        self.fd = -1  # File descriptor of the link; without it the odometry is lost.
         threading.Thread(target=self.live, daemon=True).start()
 
     def take(self, line: str) -> None:
@@ -92,7 +92,7 @@ class Base:
                 self.x, self.y, self.heading = map(float, text.split()[1:])
 
     def live(self) -> None:
-        """Move for ever, and tell the odometry to whoever is connected."""
+        """Move until the end of the process, and send the odometry over the link."""
         while True:
             time.sleep(max(0.0, self.due_s - now_s()))
             self.read_harm()

@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -19,21 +19,13 @@ from schemas.base import Atom
 from schemas.camera import CompressedImage
 from schemas.codec import decode
 from schemas.command import Command
-from schemas.rpc import ArmRequest, Nothing, ResetReply, ResetRequest, ResumeRequest, Status
 from services.cli.stack import free_endpoint
-from services.kit.bus import Bus, Router, RpcError
+from services.kit.bus import Bus, Router
 from tests.serial.fake_base import TICKS_PER_M, TRACK_M, now_s
+from tests.services.real_base import DrivenBase
 
 WATCHDOG_S = 0.2
 SPEED_M_S = 0.4
-
-
-def until(holds: Callable[[], object], timeout_s: float = 100.0, pause_s: float = 0.005) -> None:
-    """Wait until something holds; calls of a service need a pause, or its router takes them for a flood."""
-    deadline_s = time.monotonic() + timeout_s
-    while not holds():
-        assert time.monotonic() < deadline_s, f"not within {timeout_s} s: {holds}"
-        time.sleep(pause_s)
 
 
 class FakeBase:
@@ -121,7 +113,7 @@ def config_of(base: FakeBase, address: str, **more: Any) -> dict[str, Any]:
     return told | more
 
 
-class Driven:
+class Driven(DrivenBase):
     """A fake base, the service that drives it, and a driver that answers each picture."""
 
     def __init__(self, base: FakeBase, config: dict[str, Any], endpoint: str, bus: Bus) -> None:
@@ -148,34 +140,8 @@ class Driven:
             self.bus.publish(Command.after(image, source="expert", atom=self.atom))
 
     @property
-    def detail(self) -> dict[str, object]:
-        """Return the status of the service, empty while it does not answer."""
-        try:
-            return dict(self.bus.call("robot", "status", Nothing(), Status, timeout_s=1.0).detail)
-        except RpcError:
-            return {}
-
-    def moves(self) -> bool:
-        """Have it move, if it does not: arm it, begin an episode."""
-        detail = self.detail
-        if not detail:
-            return False
-        with suppress(RpcError):
-            if detail["latched_stop"]:
-                stop = ArmRequest(stop=int(str(detail["latched_stop"])))
-                self.bus.call("robot", "arm", stop, Nothing)
-                detail = self.detail
-            if detail["taken_over"]:
-                newest = ResumeRequest(
-                    episode=str(detail["episode"]), tick=int(str(detail["tick"]))
-                )
-                self.bus.call("robot", "resume", newest, Nothing)
-            if detail["episode"] is None:
-                request = ResetRequest(seed=1, driver="expert", mode="realtime", max_ticks=100_000)
-                self.bus.call("robot", "reset", request, ResetReply)
-        began_s = now_s()
-        with suppress(AssertionError):
-            until(lambda: self.base.moving and now_s() - began_s > 0.3, 2.0)
+    def moving(self) -> bool:
+        """Whether the wheels turn."""
         return self.base.moving
 
 

@@ -13,6 +13,7 @@ from services.robot.real import known_presets
 from services.serial.config import PRESETS, read_config
 from services.serial.template import Template
 from tests.command import run_smal
+from tests.services.real_base import check_refusal
 
 AHEAD = Velocity(1.0, 0.0)
 LEFT = Velocity(0.0, 1.0)
@@ -121,13 +122,7 @@ def test_steering_of_a_car_is_a_share_of_its_narrowest_bend(tmp_path: Path) -> N
 def test_config_is_refused_in_one_line_when_it_is_wrong(
     text: str, line: str, tmp_path: Path
 ) -> None:
-    path = tmp_path / "mine.yaml"
-    path.write_text(text)
-    with pytest.raises(UsageError) as caught:
-        read_config(path)
-    assert line in str(caught.value)
-    assert "\n" not in str(caught.value)
-    assert len(str(caught.value)) < 500
+    check_refusal(read_config, text, line, tmp_path)
 
 
 @given(st.floats(-100, 100), st.floats(-100, 100))

@@ -21,7 +21,8 @@ from services.cli.episodes.files import name_for, recording
 from services.cli.stack import free_endpoint
 from services.kit.settings import ServiceSettings
 from tests.command import run_smal
-from tests.serial.rig import FakeBase, config_of, until
+from tests.serial.rig import FakeBase, config_of
+from tests.services.real_base import until
 from tests.services.waiting import ready, status_of
 
 pytestmark = [pytest.mark.zenoh, pytest.mark.system, pytest.mark.timeout(900)]

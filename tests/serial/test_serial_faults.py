@@ -13,7 +13,8 @@ from schemas import topics
 from schemas.rpc import LookReply, Nothing
 from services.robot.loop import STAND_WITHIN_S
 from tests.serial.fake_base import now_s
-from tests.serial.rig import Driven, FakeBase, Proxy, config_of, driven, until
+from tests.serial.rig import Driven, FakeBase, Proxy, config_of, driven
+from tests.services.real_base import until
 from tests.services.waiting import collected
 
 pytestmark = [pytest.mark.zenoh, pytest.mark.system]

@@ -31,7 +31,8 @@ from services.serial.link import LineLink
 from services.serial.odometry import LineOdometry
 from tests.command import run_smal
 from tests.serial.fake_base import TICKS_PER_M, TRACK_M
-from tests.serial.rig import FakeBase, Proxy, config_of, until
+from tests.serial.rig import FakeBase, Proxy, config_of
+from tests.services.real_base import until
 
 PACE_S = 1 / 15
 LINK = "services.serial.link"
