@@ -5,10 +5,11 @@ of taught views, divided by their spread. Noise, darkness and another season low
 size of the map has no influence either.
 
 *Elsewhere*, particles follow the start, the side and the turn that suit the views best. z has the distribution that it
-has on the best of neighbouring wrong ways, look-alikes included. *Here*, the right view stands out by a share of the
-value between neighbouring taught views, with the scatter of a fixed wrong view; particles follow it, or a wrong way
-beside it that suits better. z is then at most z0 if both are: the product of the two distribution functions. The
-smaller the share, the more the right place resembles a wrong one, so that a faint match gives little evidence.
+has on the best of neighbouring wrong ways, look-alikes included. It is measured for taught views, and for mirrored
+taught views, which stand for views that no drive has shown. *Here*, the right view stands out by a share of the value
+between neighbouring taught views, with the scatter of a fixed wrong view; particles follow it, or a wrong way beside it
+that suits better. z is then at most z0 if both are: the product of the two distribution functions. The smaller the
+share, the more the right place resembles a wrong one, so that a faint match gives little evidence.
 
 On the taught day the share is 1; under other light or behind an obstacle it is less. The share is unknown beforehand
 but lasts, so the filter estimates it together with the place. With the share 0 something hides the place, and the view

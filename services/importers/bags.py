@@ -37,7 +37,7 @@ class Received(NamedTuple):
 
     topic: str
     type: str
-    time_s: float  # Of reception.
+    time_s: float  # Time of reception.
     data: bytes
     ros1: bool = False
 

@@ -138,7 +138,7 @@ def _reference(drive: ImportedDrive) -> Moves | None:
 class _Kept(NamedTuple):
     """The poses of the strands that follow each other."""
 
-    rows: NDArray[np.intp]  # Of the track.
+    rows: NDArray[np.intp]  # Rows of the track.
     breaks: NDArray[np.intp]  # Positions among them that begin a further strand.
 
 

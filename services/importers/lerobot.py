@@ -43,7 +43,7 @@ _ANGULAR: Final = (
 )  # fmt: skip
 _SEEN: Final = ("video", "image")  # Types of features.
 _SIDEWAYS: Final = ("y_vel", "linear_y", "vy", "vel_y")
-_DEGREES: Final = "theta_vel"  # Of LeKiwi, in degrees a second.
+_DEGREES: Final = "theta_vel"  # Turn rate of LeKiwi, degrees a second.
 _LINES: Final = "meta/episodes.jsonl"  # Files of version 2.
 _DATA_V2: Final = "data/chunk-{0:03d}/episode_{1:06d}.parquet"
 _VIDEO_V2: Final = "videos/chunk-{0:03d}/{2}/episode_{1:06d}.mp4"

@@ -65,7 +65,7 @@ _SUPPORTED: Final = (
 
 @dataclass
 class BitDepth:
-    """Bits of a camera's numbers, by its largest so far: 8, 10, 12, 14 or 16.
+    """Number of bits of a camera's values, by its largest value: 8, 10, 12, 14 or 16.
 
     Sensors of 10 to 14 bits fill 16 from below. One camera has one depth, or else its brightness
     depends on the brightest pixel of each image.

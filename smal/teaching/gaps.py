@@ -78,7 +78,7 @@ class _Likeness:
         return np.asarray(np.rint(steps), dtype=np.intp)
 
     def _falling(self) -> tuple[list[int], list[float]]:
-        """Return numbers of frames, and the mean cosine of views so far apart, until it is unrelated."""
+        """Return distances in frames, and the mean cosine of views at each, up to unrelated views."""
         apart = [0]
         mean = [1.0]
         for many in _APART.tolist():

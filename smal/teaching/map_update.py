@@ -2,8 +2,8 @@
 
 A place looks different on another day. If a run was certain of its place although the view contradicted it, its frame
 becomes a view variant of the keyframe: the same virtual views, warped from the robot's pose. Views are compared with
-the best variant of each place. A keyframe has `MapConfig.most_variants` at most. Of more, the variant with the least
-loss for the views of these runs is removed, never the taught one. So the size of the map is bounded.
+the best variant of each place. A keyframe has at most `MapConfig.most_variants`. Beyond that number, the map removes
+the variant with the least loss for the views of these runs, never the taught one. So the size of the map is bounded.
 
 The new map is accepted only if runs that were not used for learning are at least as likely under it (`compared`).
 """

@@ -236,7 +236,7 @@ def test_network_output_keeps_its_order_when_it_is_flat(tmp_path: Path) -> None:
     np.testing.assert_allclose(vector, expected / np.linalg.norm(expected), atol=1e-6)
 
 
-def test_features_are_not_computable_when_their_network_is_elsewhere(
+def test_features_are_not_computable_when_the_network_is_absent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = FeatureSettings.of((given(network(tmp_path / "mix.onnx")), "color"))

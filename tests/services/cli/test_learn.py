@@ -231,7 +231,7 @@ def test_the_camera_of_a_recording_is_that_of_the_map(tmp_path: Path) -> None:
     assert Model.load(tmp_path / "model.smal").mapped.taught_scene.camera == Camera(450.0 / 640.0)
 
 
-def test_drive_with_gaps_teaches_as_a_whole_when_it_has_no_odometry(
+def test_drive_with_gaps_teaches_whole_when_it_has_no_odometry(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As a tub of donkeycar, whose recording pauses while the car stands."""

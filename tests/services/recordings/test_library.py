@@ -70,7 +70,7 @@ def test_library_learns_and_drives_when_the_stack_is_missing() -> None:
     "code",
     ["import smal; smal.recordings.read('way.mcap')", "from services.cli.main import main"],
 )
-def test_missing_stack_is_named_with_the_command_that_installs_it(code: str) -> None:
+def test_missing_stack_is_named_with_the_installing_command(code: str) -> None:
     ran = without_stack(code)
     assert ran.returncode == 1
     assert "pip install 'smal[stack]'" in ran.stderr.splitlines()[-1]
