@@ -11,7 +11,8 @@ complexipy
 lint-imports
 # Three processes on two cores, because one in three tests waits for a robot, a browser or a deadline.
 status=0
-python -m pytest -rsf -n 3 "$@" || status=$?
+# A test that hangs outside of Python takes no signal: its process ends, and another one goes on.
+python -m pytest -rsf -n 3 --timeout-method=thread "$@" || status=$?
 if [ "$status" = 1 ]; then
   echo "running the failed tests again, one at a time: the machine may have been too busy; the errors are above"
   python -m pytest -rsf --last-failed --last-failed-no-failures none "$@"

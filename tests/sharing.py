@@ -8,6 +8,7 @@ from typing import Final
 
 import pytest
 from xdist.scheduler import LoadScopeScheduling
+from xdist.workermanage import WorkerController
 
 #: What drives robots in real time, and waits more than it computes: one process does the whole folder.
 REAL_TIME: Final = ("tests/system/console/", "tests/ros2/", "tests/serial/", "tests/system/")
@@ -21,6 +22,37 @@ class Sharing(LoadScopeScheduling):
     def _split_scope(self, nodeid: str) -> str:
         file, _, _ = nodeid.partition("::")
         return next((folder for folder in REAL_TIME if nodeid.startswith(folder)), file)
+
+    def remove_node(self, node: WorkerController) -> str | None:
+        """Share out what a process had left; return the test that it crashed in, which has failed.
+
+        xdist would run that test again, and its success would hide the crash.
+        """
+        files = self.assigned_work.pop(node)
+        left = [
+            (file, test)
+            for file, tests in files.items()
+            for test, done in tests.items()
+            if not done
+        ]
+        if not left:
+            return None
+        file, crashed = left[0]
+        files[file][crashed] = True
+        self.workqueue.update(files)
+        for other in self.assigned_work:
+            self._reschedule(other)
+        return crashed
+
+    def _reschedule(self, node: WorkerController) -> None:
+        """Give a process files until it has two tests to run, or let it end.
+
+        A process starts a test once it knows the next one, and reports nothing about a file that a
+        crashed process had finished. xdist gives it one file, and can wait for it forever.
+        """
+        super()._reschedule(node)
+        while not node.shutting_down and self._pending_of(self.assigned_work[node]) < 2:
+            super()._reschedule(node)
 
 
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
