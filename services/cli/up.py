@@ -12,7 +12,6 @@ from typing import Annotated, Final
 from typer import Option
 
 from services.cli import certificates, options, outputs
-from services.cli.options import CameraOptions
 from services.cli.stack import GROUPED, Stack, StackPlan, flags
 from services.console.config import ConsoleSettings, listen
 from services.kit.bus import Router, addresses, host_and_port
@@ -24,7 +23,6 @@ from services.table import role_of, stack_services
 from smal.features import FeatureSettings
 
 WATCH_S: Final = 0.5  # Period of the check for ended services, seconds.
-CAMERA: Final = CameraOptions(640, 480)
 LAST_PORT: Final = 65535
 MOST_FURTHER: Final = 8  # A quarter of the router's sessions for a stack.
 _NONE: Final = "none"
@@ -190,6 +188,9 @@ def up(
     robot_body: RobotBody,
     reach: options.Reach,
     size: StackSize,
+    browser: Annotated[
+        bool, Option("--browser", help="Page in the browser when the stack is ready.")
+    ] = False,
     insecure: Annotated[
         bool, Option("--insecure", help="Access from other machines, without certificates.")
     ] = False,
@@ -240,7 +241,7 @@ def up(
     recorded = files.recordings_of(plan.fleet)
     metrics = ports.metrics(list(plan.processes()))
     below = flags(root=files.root.resolve())
-    simulated = (*simulator.flags(world, CAMERA), *below)
+    simulated = (*simulator.flags(world), *below)
     of_service = {
         "router": flags(insecure=insecure or None),
         "robot": simulated if base is None else flags(robot_config=base[1]),
@@ -258,18 +259,18 @@ def up(
         for name, (service, robot) in plan.processes().items()
     }
     placed = "without a robot" if left_out["robot"] else f"in {where}"
-    _run(replace(plan, flags=given), f"{placed} on {plan.endpoint}, {access}", metrics)
-
-
-def _run(plan: StackPlan, where: str, metrics: dict[str, int]) -> None:
-    """Keep the stack running until Ctrl-C."""
+    opened = [f"http://{page}" for page in pages.values()]
     configure_logging("info")
     log = logging.getLogger("up")
-    with Stack(plan) as stack:
-        log.info("ready: robot %s %s; Ctrl-C stops", ", ".join(plan.fleet), where)
+    with Stack(replace(plan, flags=given)) as stack:
+        robots = ", ".join(plan.fleet)
+        log.info("robot %s %s on %s, %s; Ctrl-C stops", robots, placed, plan.endpoint, access)
         if metrics:
-            ports = ", ".join(f"{name} {port}" for name, port in metrics.items())
-            log.info("GET /healthz and /metrics on 127.0.0.1: %s", ports)
+            ports_of = ", ".join(f"{name} {port}" for name, port in metrics.items())
+            log.info("GET /healthz and /metrics on 127.0.0.1: %s", ports_of)
+        log.info("ready: %s", f"open {' and '.join(opened)}" if opened else "without a page")
+        if browser and opened:
+            outputs.open_page(opened[0])
         with suppress(KeyboardInterrupt):
             while True:
                 time.sleep(WATCH_S)

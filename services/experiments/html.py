@@ -2,6 +2,11 @@
 
 import base64
 import io
+import platform
+import re
+import shlex
+import sys
+import time
 import warnings
 from collections.abc import Callable
 from functools import cache
@@ -12,6 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from services.experiments.words import counted
 from services.kit.jpeg import encode_jpeg, shrunk
+from services.kit.version import program_version
 from smal.files.container import write_whole
 
 if TYPE_CHECKING:
@@ -33,7 +39,32 @@ def write_page(folder: Path, template: str, **data: object) -> Path:
 
 def render(template: str, **data: object) -> str:
     """Fill in a template; text in the data is escaped."""
-    return _environment().get_template(template).render(data)
+    return _environment().get_template(template).render(data, made=made())
+
+
+def made() -> str:
+    """Return the date, the command and the versions of a page."""
+    command = shlex.join(["smal", *sys.argv[1:]])
+    date = time.strftime("%Y-%m-%d %H:%M %Z")
+    return f"{date}, {command}, SMAL {program_version()}, Python {platform.python_version()}"
+
+
+def svg(figure: "Figure") -> str:
+    """Draw a figure as an inline SVG image, with the colours of the page, light or dark."""
+    import matplotlib as mpl  # noqa: PLC0415 - takes a second to import
+
+    from services.experiments.drawing import PAGE_COLOURS  # noqa: PLC0415 - see above
+
+    buffer = io.StringIO()
+    with mpl.rc_context({"svg.fonttype": "none"}):
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+    text = buffer.getvalue()
+    text = re.sub(
+        r' width="[\d.]+pt" height="[\d.]+pt"|width="[\d.]+pt"|height="[\d.]+pt"', "", text
+    )
+    for colour, variable in PAGE_COLOURS.items():
+        text = text.replace(colour, f"var({variable})")
+    return text[text.index("<svg") :]
 
 
 def png(figure: "Figure", dpi: int = 110) -> bytes:

@@ -27,6 +27,14 @@ def test_command_prints_help_with_an_example_when_asked(name: str, smal: Smal) -
     assert len(cli.COMMANDS[name][1]) <= 55, "one line of a terminal"
 
 
+@pytest.mark.parametrize("words", ["learn", "run", "match", "topic info", "model show", "world"])
+def test_bare_command_shows_its_usage(words: str, smal: Smal) -> None:
+    status, out, err = smal(*words.split())
+    assert (status, out) == (2, "")
+    assert err.startswith(f"Usage: smal {words} ")
+    assert "Example: smal " in err
+
+
 def test_help_and_version_load_no_command(smal: Smal) -> None:
     status, out, _ = smal("--help")
     assert status == 0

@@ -199,5 +199,5 @@ def test_an_odd_model_is_one_line(
     )
     object.__setattr__(odd, name, value)
     odd.save(tmp_path / "odd.smal")
-    err = mistake(2, "model", "show", tmp_path / "odd.smal", "--out", tmp_path / "out")
+    err = mistake(1, "model", "show", tmp_path / "odd.smal", "--out", tmp_path / "out")
     assert err == f"smal: {tmp_path}/odd.smal: the parts of the model do not fit together: {said}\n"
