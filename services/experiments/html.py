@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -55,10 +55,8 @@ def svg(figure: "Figure") -> str:
 
     from services.experiments.drawing import PAGE_COLOURS  # noqa: PLC0415 - see above
 
-    buffer = io.StringIO()
     with mpl.rc_context({"svg.fonttype": "none"}):
-        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
-    text = buffer.getvalue()
+        text = _saved(figure, format="svg", transparent=True).decode()
     text = re.sub(
         r' width="[\d.]+pt" height="[\d.]+pt"|width="[\d.]+pt"|height="[\d.]+pt"', "", text
     )
@@ -69,11 +67,15 @@ def svg(figure: "Figure") -> str:
 
 def png(figure: "Figure", dpi: int = 110) -> bytes:
     """Draw a figure as a PNG file."""
+    return _saved(figure, format="png", dpi=dpi)
+
+
+def _saved(figure: "Figure", **how: Any) -> bytes:  # noqa: ANN401
     buffer = io.BytesIO()
     with warnings.catch_warnings():
         # Names of drives can contain letters that the font lacks.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        figure.savefig(buffer, format="png", dpi=dpi)
+        figure.savefig(buffer, **how)
     return buffer.getvalue()
 
 

@@ -17,21 +17,18 @@ class _Lines:
     def __init__(self) -> None:
         self._written_s = time.monotonic()
         self._newest = ""
-        self._begun = False
+        self._written = ""
 
     def write(self, text: str) -> None:
-        """Write a state of the bar if the last line is old; its end, after earlier lines."""
-        state = text.strip()
-        ended = text == "\n" and self._begun
-        if not (ended or (state and time.monotonic() - self._written_s >= LINE_S)):
-            self._newest = state or self._newest
-            return
-        if line := state or self._newest:
-            sys.stderr.write(f"{line}\n")
+        """Write a state of the bar if the last line is old; its last state if there are lines."""
+        self._newest = text.strip() or self._newest
+        old = time.monotonic() - self._written_s >= LINE_S
+        ended = text == "\n" and self._written
+        if self._newest != self._written and (old or ended):
+            sys.stderr.write(f"{self._newest}\n")
             sys.stderr.flush()
-        self._newest = ""
-        self._begun = True
-        self._written_s = time.monotonic()
+            self._written = self._newest
+            self._written_s = time.monotonic()
 
     def flush(self) -> None:
         """Do nothing; every line is flushed."""

@@ -50,7 +50,7 @@ def draw_ways(
     drawn = figure(0.7 * WIDTH_IN * len(groups) + 1.1)
     panels = list(drawn.subplots(len(groups), 1, squeeze=False)[:, 0])
     for axes, drives in zip(panels, groups, strict=True):
-        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_aspect("equal", adjustable="datalim" if world is None else "box")
         axes.set(xlabel=ways.unit, ylabel=ways.unit)
         axes.margins(0.12)
         for drive in drives.tolist():

@@ -250,6 +250,8 @@ def test_drive_with_gaps_teaches_whole_when_it_has_no_odometry(
         "failed      40     0  victim not reached (timeout)",
         "e           30    30  3 gaps (1.0 s) bridged by views",
     ]
-    assert captured.out.splitlines()[-1] == f"next: smal up --model {tmp_path / 'model.smal'}"
+    assert captured.out.splitlines()[-1] == (
+        f"next: smal run --world campus --model {tmp_path / 'model.smal'}"
+    )
     assert json.loads(report.read_text())["uses"][1]["used"] == 30
     assert path.exists()
