@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
+from PIL import Image, ImageSequence
 from typer.testing import CliRunner
 
 import smal
@@ -42,6 +43,18 @@ RUN_BY = {
 
 def test_readme_fits_in_700_words() -> None:
     assert len(README.split()) <= 700
+
+
+def test_moving_picture_takes_eight_seconds() -> None:
+    (path,) = re.findall(r"!\[.*?\]\((.*?\.webp)\)", README)
+    assert (ROOT / path).stat().st_size < 3e6
+    with Image.open(ROOT / path) as film:
+        assert film.size[0] > 2 * film.size[1]
+        durations_ms = []
+        for frame in ImageSequence.Iterator(film):
+            frame.load()
+            durations_ms.append(frame.info["duration"])
+    assert sum(durations_ms) == 8000
 
 
 def test_every_command_of_the_readme_is_run_by_a_test() -> None:
