@@ -42,9 +42,10 @@ def list_topics(
         headings = ["| topic | message | Hz | from | to | meaning |", "|---|---|---|---|---|---|"]
         say("\n".join([*headings, *rows]).replace("``", "`"))
     else:
-        rows = [(one[0], one[2], one[-1].replace("``", "")) for one in map(_cells, TOPICS.values())]
+        cells = map(_cells, TOPICS.values())
+        lines = [[one[0], one[2], one[-1].replace("``", "")] for one in cells]
         columns = shutil.get_terminal_size().columns
-        for line in table([("topic", "Hz", "meaning"), *rows], left=3):
+        for line in table([["topic", "Hz", "meaning"], *lines], left=3):
             say(line if len(line) <= columns else f"{line[: columns - 1].rstrip()}…")
 
 

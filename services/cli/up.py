@@ -259,15 +259,22 @@ def up(
         for name, (service, robot) in plan.processes().items()
     }
     placed = "without a robot" if left_out["robot"] else f"in {where}"
-    opened = [f"http://{page}" for page in pages.values()]
+    placed += f" on {plan.endpoint}, {access}"
+    _run(replace(plan, flags=given), placed, metrics, [*pages.values()], browser=browser)
+
+
+def _run(
+    plan: StackPlan, where: str, metrics: dict[str, int], pages: list[str], *, browser: bool
+) -> None:
+    """Keep the stack running until Ctrl-C; open its first page if requested."""
     configure_logging("info")
     log = logging.getLogger("up")
-    with Stack(replace(plan, flags=given)) as stack:
-        robots = ", ".join(plan.fleet)
-        log.info("robot %s %s on %s, %s; Ctrl-C stops", robots, placed, plan.endpoint, access)
+    with Stack(plan) as stack:
+        log.info("robot %s %s; Ctrl-C stops", ", ".join(plan.fleet), where)
         if metrics:
-            ports_of = ", ".join(f"{name} {port}" for name, port in metrics.items())
-            log.info("GET /healthz and /metrics on 127.0.0.1: %s", ports_of)
+            ports = ", ".join(f"{name} {port}" for name, port in metrics.items())
+            log.info("GET /healthz and /metrics on 127.0.0.1: %s", ports)
+        opened = [f"http://{page}" for page in pages]
         log.info("ready: %s", f"open {' and '.join(opened)}" if opened else "without a page")
         if browser and opened:
             outputs.open_page(opened[0])

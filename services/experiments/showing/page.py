@@ -15,7 +15,7 @@ from services.experiments.showing.summary import facts, goals_of, taught_drives
 from services.experiments.showing.ways import Believed, Ways, believed
 from services.experiments.words import counted
 from services.recordings.recorded import episode_of
-from services.simulator.world import known_worlds, load_world
+from services.simulator.world import World, known_worlds, load_world
 from smal.arrays import evenly
 from smal.model import Model
 from smal.paper.model import PaperModel
@@ -64,11 +64,7 @@ def _photos(name: object, drive: Demonstration) -> dict[str, Any]:
 def _map(model: Model, taught: TaughtDrives | None, advance: html.Advance) -> dict[str, Any]:
     ways = Ways(model.mapped)
     drives = {} if taught is None else taught.found
-    shown = ways
-    world = None
-    if taught is not None and taught.truth is not None and model.world in known_worlds():
-        shown = ways.at(taught.truth)
-        world = load_world(model.world)
+    shown, world = (ways, None) if taught is None else _in_world(model, ways, taught)
     goals = goals_of(model)
     names = [printable(episode_of(parts[0])) for parts in model.mapped.names]
     total = sum(len(one.atoms) for one in drives.values())
@@ -101,6 +97,13 @@ def _map(model: Model, taught: TaughtDrives | None, advance: html.Advance) -> di
         "near": ways.map.correlation_length,
         "unit": ways.unit,
     }
+
+
+def _in_world(model: Model, ways: Ways, taught: TaughtDrives) -> tuple[Ways, World | None]:
+    """Return the ways in the axes of their world, and the world, if both are known."""
+    if taught.truth is None or model.world not in known_worlds():
+        return ways, None
+    return ways.at(taught.truth), load_world(model.world)
 
 
 def _partings(ways: Ways, names: Sequence[str]) -> Iterator[str]:
