@@ -66,7 +66,8 @@ def demo(
     if browser:
         _step("up", "--browser", *flags(world=name, camera=size, root=out, robot=stack.robot))
         return
-    reach = flags(connect=stack.connect, secure=stack.secure, robot=stack.robot)
+    to = {"connect": stack.connect, "secure": stack.secure, "robot": stack.robot}
+    reach = flags(**to) if stack.connect is not None else ()
     same = (*flags(world=name, camera=size, seed=seed), *reach)
     learned = out / "model.smal"
     report = out / "report"
