@@ -123,7 +123,7 @@ def test_model_stays_when_its_earlier_version_is_invalid(
         earlier.mkdir()
     else:
         earlier.symlink_to(file)
-    status = 2 if version == "folder" else 1
+    status = 1 if version == "truncated" else 2
     assert "delete it to go back further" in mistake(status, "model", "back", file)
     assert file.read_bytes() == before
     assert not file.is_symlink()
