@@ -339,8 +339,7 @@ class Blind(Behaviour):
 class BackOff(Behaviour):
     """Back off if the wheels stand although the robot drives; the second time, look around.
 
-    Only a robot with odometry notices. Without a depth camera it cannot check the space behind, so
-    it looks around at once; a car cannot do this either without driving ahead.
+    Only a robot with odometry notices. It has touched something, and backs off the way it came.
     """
 
     def __init__(self, chassis: Chassis, look: LookAround) -> None:
@@ -355,8 +354,7 @@ class BackOff(Behaviour):
         """Count the time for which the wheels stand."""
         self._backs_s = max(self._backs_s - now.elapsed_s, 0.0)
         moved = now.belief.moved
-        helpless = now.around is None and self._chassis.car
-        if moved is None or now.motion[0] <= 0.0 or helpless:
+        if moved is None or now.around is None or now.motion[0] <= 0.0:
             return
         commanded = self._chassis.speed * now.motion[0] * now.elapsed_s
         stands = moved < 0.1 * commanded
@@ -364,7 +362,8 @@ class BackOff(Behaviour):
         self._driven += moved
         if self._stands_s < self._chassis.config.stalls_s:
             return
-        self._in_vain = now.around is None or self._driven < self._chassis.lookahead
+        now.around.touch()
+        self._in_vain = self._driven < self._chassis.lookahead
         if self._in_vain:
             self._look.again()
         self._stands_s = 0.0
@@ -469,9 +468,11 @@ class Wait(Behaviour):
     def instead_of(self, intent: Intent, now: Situation) -> Intent:
         """Return the intent, or a replacement if an obstacle blocks it."""
         around = self._things(now)
-        if around is None:
-            return self._before_strange_ground(intent, now)
-        return self._among_things(intent, now, around) if intent.motion is None else intent
+        if around is None or not around.sees:
+            intent = self._before_strange_ground(intent, now)
+        if around is None or intent.motion is not None:
+            return intent
+        return self._among_things(intent, now, around)
 
     def _things(self, now: Situation) -> Surroundings | None:
         """Return the obstacles if the robot can drive around them; otherwise None."""
