@@ -165,6 +165,8 @@ class Surroundings:
         of the cell; the other half is for wheels that slip.
     heading
         Heading by the odometry.
+    has_camera
+        Whether the robot has a depth camera, which need not see.
     seen
         Scan of the last image; None if it showed no ground.
     """
@@ -185,12 +187,8 @@ class Surroundings:
         self._touched = np.zeros((0, 2))
         self._mount: Mount | None = None  # Mount at the last image.
         self.heading = 0.0
+        self.has_camera = False
         self.seen: Scan | None = None
-
-    @property
-    def sees(self) -> bool:
-        """Whether a depth camera has shown the ground."""
-        return self._mount is not None
 
     def snapshot(self) -> Self:
         """Return an independent copy for another thread."""
@@ -210,10 +208,11 @@ class Surroundings:
         under_m = self.radius_m - self.cell_m / 2.0
         self._grid.assume(self.away_m < under_m, occupied=False, height_m=0.0)
         # Where the robot stands there is nothing any more.
-        self._touched = self._touched[np.hypot(*(self._touched - (x, y)).T) >= under_m]
+        away_m = np.hypot(*(self._touched - (x, y)).T)
+        self._touched = self._touched[(away_m >= under_m) & (away_m < self.reach_m)]
 
-    def touch(self) -> None:
-        """Add an obstacle before the robot: its wheels stand although it drives ahead.
+    def touch(self) -> int:
+        """Add an obstacle before the robot, and return how many the robot has touched here.
 
         The place of contact is unknown. It counts as straight ahead, and as small: if it is aside,
         the robot touches it again on one way around, and takes the other.
@@ -222,6 +221,7 @@ class Surroundings:
         towards = np.array([math.cos(self.heading), math.sin(self.heading)])
         self._touched = np.vstack([self._touched, here + self.body_m * towards])
         self._forget()
+        return len(self._touched)
 
     def release(self) -> None:
         """Forget what the robot has touched: it can have left."""
@@ -246,6 +246,7 @@ class Surroundings:
         ``elapsed_s`` is the time since the image before, seconds; a longer gap counts as a second.
         """
         self.move(pose)
+        self.has_camera = True
         self.seen = None if depth_m is None else scan(depth_m, mount)
         if self.seen is None:
             return False
@@ -440,7 +441,7 @@ class Surroundings:
             np.sqrt(half[touches].clip(0.0, 1.0))
         )
         unseen = self.unknown & (np.abs(gap_m) < self.radius_m - self.cell_m)
-        ahead_unseen = (along > 0.0) & ~self._beside_view & self.sees
+        ahead_unseen = (along > 0.0) & ~self._beside_view & self.has_camera
         unseen &= ahead_unseen if ahead else along > self.radius_m
         unseen_m = turned_m[unseen] - self.radius_m
         free_m = np.concatenate([touches_m, unseen_m, [room_m]]).min(initial=self.reach_m)
