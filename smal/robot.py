@@ -415,8 +415,11 @@ class Robot:
 
     def _check_colours(self, image: Uint8s, features: Float32s) -> None:
         """Warn if the first images of an episode are more like the map with red and blue swapped."""
-        swapped = extract(np.ascontiguousarray(image[..., ::-1]), self._localizer.features)
-        self._swapped.append(self._likeness(swapped) - self._likeness(features))
+        other = extract(np.ascontiguousarray(image[..., ::-1]), self._localizer.features)
+        swapped = self._likeness(other)
+        # A robot that looks away from the way sees nothing taught, whatever the colours.
+        taught = swapped > self._map.next_correlation
+        self._swapped.append(swapped - self._likeness(features) if taught else 0.0)
         clear = min(self._swapped) > 0.0 and np.mean(self._swapped) > _CLEARLY_SWAPPED
         if len(self._swapped) == _COLOURS_CHECKED and clear:
             warnings.warn(

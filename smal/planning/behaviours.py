@@ -416,8 +416,9 @@ class Wait(Behaviour):
     """Drive around an obstacle, or wait before it.
 
     A person waits for the robot while it waits for the person. Therefore the robot backs up after
-    `PlannerConfig.waits_s`, and forgets what it has touched, which can have left. A robot that waits in vain can be elsewhere than estimated: after twice that time it looks
-    around, once. After three times it takes another taught way, if any, for `PlannerConfig.closed_s`.
+    `PlannerConfig.waits_s`, and forgets what it has touched, which can have left. A robot that waits
+    in vain can be elsewhere than estimated: after twice that time it looks around, once. After three
+    times it takes another taught way, if any, for `PlannerConfig.closed_s`.
     Only a robot with odometry that turns on the spot drives around obstacles.
     """
 
