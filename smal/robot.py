@@ -288,20 +288,32 @@ def surroundings(
     odometry: Sequence[float],
     depth: tuple[Float32s | None, Mount] | None,
     elapsed_s: float,
+    radius_m: float = 0.0,
 ) -> Surroundings | None:
     """Return the surroundings at an odometry pose, with a depth image and the mount of its camera.
 
-    `elapsed_s` is the time since the call before, seconds. The surroundings begin with the first
-    mount; they are None before it.
+    Parameters
+    ----------
+    before
+        Surroundings of the call before; they begin anew when the mount changes the radius.
+    odometry, depth
+        As in `Robot.step`; the depth image can be None.
+    elapsed_s
+        Time since the call before, seconds.
+    radius_m
+        Radius of a robot without a mount, metres; 0 if unknown: then the surroundings begin with
+        the first mount.
     """
+    mount = None if depth is None else depth[1]
+    if before is None and mount is None and radius_m <= 0.0:
+        return None
+    if before is None or (mount is not None and mount.radius_m != before.radius_m):
+        before = Surroundings(radius_m if mount is None else mount.radius_m)
     if depth is None:
-        if before is not None:
-            before.move(odometry)
-        return before
-    _, mount = depth
-    around = before or Surroundings(mount.radius_m)
-    around.observe(odometry, *depth, elapsed_s)
-    return around
+        before.move(odometry)
+    else:
+        before.observe(odometry, *depth, elapsed_s)
+    return before
 
 
 class Robot:
@@ -371,7 +383,7 @@ class Robot:
             Time since the image before, seconds; by default the time between taught images.
         depth : (array (height, width), Mount), optional
             Depth image in metres (0 = not measured), and the mount of its camera. With depth and odometry, the robot
-            drives around obstacles.
+            drives around obstacles; with odometry alone, around what it has touched.
 
         Returns
         -------
@@ -388,7 +400,9 @@ class Robot:
             self._around = None
         else:
             tick_s = self._map.tick_s if elapsed_s is None else elapsed_s
-            self._around = surroundings(self._around, odometry, depth, tick_s)
+            self._around = surroundings(
+                self._around, odometry, depth, tick_s, self._planner.radius_m
+            )
         self.decision = self._planner.decide(
             located.belief,
             elapsed_s,
@@ -401,8 +415,11 @@ class Robot:
 
     def _check_colours(self, image: Uint8s, features: Float32s) -> None:
         """Warn if the first images of an episode are more like the map with red and blue swapped."""
-        swapped = extract(np.ascontiguousarray(image[..., ::-1]), self._localizer.features)
-        self._swapped.append(self._likeness(swapped) - self._likeness(features))
+        other = extract(np.ascontiguousarray(image[..., ::-1]), self._localizer.features)
+        swapped = self._likeness(other)
+        # A robot that looks away from the way sees nothing taught, whatever the colours.
+        taught = swapped > self._map.next_correlation
+        self._swapped.append(swapped - self._likeness(features) if taught else 0.0)
         clear = min(self._swapped) > 0.0 and np.mean(self._swapped) > _CLEARLY_SWAPPED
         if len(self._swapped) == _COLOURS_CHECKED and clear:
             warnings.warn(
