@@ -14,7 +14,7 @@ from smal.arrays import AnyArray, Floats
 #: Linear velocity ahead and angular velocity to the left, as shares of the robot's own, -1 to 1.
 Motion = tuple[float, float]
 STANDS: Final[Motion] = 0.0, 0.0
-#: Mean cosine between headings and directions of motion by which degrees fit better than radians.
+#: Concentration of the angles between headings and motion by which degrees fit better than radians.
 _CLEARLY: Final = 0.2
 
 
@@ -93,9 +93,9 @@ def in_degrees(poses: Floats) -> bool:
     if np.abs(headings).max(initial=0.0) <= math.tau or not lengths.any():
         return False
     moved = np.arctan2(y, x)
-    # Doubled angles are equal ahead and in reverse.
+    # Doubled angles are equal ahead and in reverse; their concentration ignores how a sensor is mounted.
     degrees, radians = (
-        np.average(np.cos(2.0 * (moved - headings * unit)), weights=lengths)
+        abs(np.average(np.exp(2j * (moved - headings * unit)), weights=lengths))
         for unit in (math.radians(1.0), 1.0)
     )
     return bool(degrees - radians > _CLEARLY)

@@ -79,7 +79,11 @@ class SourceScale:
         float | None, Option(metavar="M_S", help="Speed of value 1 in metres per second.")
     ] = None
     turn_rate: Annotated[
-        float | None, Option(metavar="RAD_S", help="Turn rate of value 1 in radians per second.")
+        float | None,
+        Option(
+            metavar="RAD_S",
+            help="Turn rate of value 1 in radians per second; below 0 if right is positive.",
+        ),
     ] = None
     quantile: Annotated[float, Option(help="Share of moving samples below the nominal speed.")] = (
         QUANTILE
@@ -195,4 +199,7 @@ def _lines(report: ImportReport, job: ImportJob, files: list[Path], out: Path) -
     )
     yield f"actions       {made}"
     yield f"odometry      {report.odometry}"
+    field_deg = report.field_of_view_deg
+    unknown = "no calibration (--field-of-view); smal learn estimates it from the views"
+    yield f"camera        {unknown if field_deg is None else f'{field_deg:.0f} degrees wide'}"
     yield f"recordings in {out}; next: smal learn {out} --out MODEL"
