@@ -16,7 +16,9 @@ from scipy.spatial.transform import Rotation
 from services.importers.drive import ImportFailure, Tally
 from services.importers.ticks import motion_along
 from services.importers.trajectory import track_of
+from services.recordings.dataset import Teacher
 from smal.movement import wrapped
+from tests import corridor
 from tests.services.importers import bags, sources
 from tests.services.importers.test_formats import check_drive, episode_of, imported
 
@@ -326,6 +328,17 @@ def test_missing_images_are_reported_in_two_lines(tmp_path: Path) -> None:
         file.unlink()
     _, tally = imported(folder, "folder", tmp_path / "out")
     assert len([line for line in tally.lines() if "No such file" in line]) == 1
+
+
+def test_drive_is_left_out_when_its_images_change_their_shape(tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set")
+    for file in sorted(folder.glob("*.jpg"))[30:]:
+        cv2.imwrite(str(file), cv2.imread(str(file))[8:])
+    report, _ = imported(folder, "folder", tmp_path / "out")
+    teaching = Teacher(corridor.FEATURES).read_all([Path(file) for file in report.files])
+    assert not teaching.demonstrations
+    (line,) = [line for line in teaching.lines() if "images of 64x40 differ from 64x48" in line]
+    assert "another aspect ratio shows another view" in line
 
 
 @pytest.mark.parametrize("brand", [b"heic", b"avif"])
