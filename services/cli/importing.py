@@ -136,6 +136,10 @@ def import_recordings(
     --rate replaces wrong times of a tub or a table. An option without effect on a source is an
     error. A drive that cannot be read is left out and reported if others can be read.
 
+    Times in milliseconds, microseconds or nanoseconds and headings in degrees are converted, with
+    a remark. Turns to the other side than those of the views are mirrored if only the velocities or
+    only the odometry contradict the views; a remark names the remedy if both do.
+
     Recordings have 10 frames per second at any source rate. Velocities become the actions forward,
     backward, left, right and stop; --still and --turning set the limits as fractions of the robot's
     nominal speed and turn rate. Odometry is compared with velocities and views: resets are joined,

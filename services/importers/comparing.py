@@ -27,7 +27,7 @@ from services.importers.ticks import (
     moving,
     tracked,
 )
-from services.importers.views import Seen, views_go_on
+from services.importers.views import ViewChanges, views_go_on
 from smal.movement import in_degrees, placed, seen_from, wrapped
 
 #: Times the usual speed that no robot exceeds from one pose to the next.
@@ -85,7 +85,7 @@ def _as_seen(drive: ImportedDrive, tally: Tally) -> ImportedDrive:
 
     Without velocities, the motion is that of the odometry.
     """
-    seen = Seen.of(drive)
+    seen = ViewChanges.of(drive)
     measured = len(drive.track) > 0 and not drive.reckoned
     late_s = seen.lateness_s(drive.track) if measured else 0.0
     if late_s:
@@ -98,7 +98,7 @@ def _as_seen(drive: ImportedDrive, tally: Tally) -> ImportedDrive:
     return _on_its_side(drive, seen._replace(times_s=seen.times_s - late_s), tally)
 
 
-def _on_its_side(drive: ImportedDrive, seen: Seen, tally: Tally) -> ImportedDrive:
+def _on_its_side(drive: ImportedDrive, seen: ViewChanges, tally: Tally) -> ImportedDrive:
     """Mirror the odometry or the velocities if they alone turn to the other side than the views."""
     begin_s, end_s = seen.times_s
     moves = Moves(drive.motion)

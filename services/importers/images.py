@@ -132,10 +132,7 @@ def drive_of(
 
     The images are the files of the rows, or, with their times, those that ``shown`` returns.
     """
-    if shown is None:
-        distinct = {(row.image, row.time_s): row for row in rows}
-        tally.count("rows are repeated (read once)", len(rows) - len(distinct))
-        rows = list(distinct.values())
+    rows = _distinct(rows, tally) if shown is None else rows
     times_s = in_order(np.array([row.time_s for row in rows]), tally)
     rows = [rows[at]._replace(time_s=times_s[at]) for at in np.argsort(times_s, kind="stable")]
     if shown is None:
@@ -155,6 +152,12 @@ def drive_of(
     return ImportedDrive.of_rows(
         name, times_s, images, motion, track, tally, success=success, metric=metric
     )
+
+
+def _distinct(rows: Sequence[Row], tally: Tally) -> Sequence[Row]:
+    distinct = {(row.image, row.time_s): row for row in rows}
+    tally.count("rows are repeated (read once)", len(rows) - len(distinct))
+    return list(distinct.values())
 
 
 def files(names: Sequence[str], inside: Inside, tally: Tally) -> Images:

@@ -203,7 +203,7 @@ def _euroc_lens(inside: Inside, folder: str, tally: Tally) -> Camera | None:
         return None
     name = f"{folder}/{_SENSOR}"
     try:
-        lines = (line.partition("#")[0].partition(":") for line in _lines(inside, name))
+        lines = (line.partition(":") for line in _lines(inside, name))
         sensor = _Sensor.model_validate({key.strip(): value.strip() for key, _, value in lines})
         focal, _, column, row = sensor.intrinsics
         lens = _LENSES.get(sensor.distortion_model, sensor.distortion_model)
@@ -251,8 +251,8 @@ def _drive(
 
 def _lines(inside: Inside, name: str) -> Iterator[str]:
     """Yield the lines of a text file without comments."""
-    texts = (line.decode(errors="replace").strip() for line in inside.lines(name))
-    return (text for text in texts if text and not text.startswith("#"))
+    texts = (line.decode(errors="replace").partition("#")[0] for line in inside.lines(name))
+    return filter(None, map(str.strip, texts))
 
 
 def _width(inside: Inside, name: str, delimiter: str | None = None) -> int:

@@ -41,7 +41,7 @@ def views_go_on(drive: ImportedDrive, times_s: Array) -> list[bool]:
     return [_goes_on(views, frames, at) for frames, at in zip(beside, middles, strict=True)]
 
 
-class Seen(NamedTuple):
+class ViewChanges(NamedTuple):
     """Changes from a view to the next, in the first minute of a drive."""
 
     times_s: Array  # Times of both views, (2, n).
