@@ -13,10 +13,21 @@ from smal.camera_change import CameraPitch
 from smal.features import extract
 from smal.features.detectors import Detection
 from smal.features.percept import Percept, perceive
+from smal.features.resizing import same_aspect
 from smal.filter import Belief, Filter
 from smal.map import beside, way_from
 from smal.model import Model
-from smal.movement import BY_ATOMS, BY_ODOMETRY, STANDS, STILL, Atom, Motion, Movement, placed
+from smal.movement import (
+    BY_ATOMS,
+    BY_ODOMETRY,
+    STANDS,
+    STILL,
+    Atom,
+    Motion,
+    Movement,
+    is_pose,
+    placed,
+)
 from smal.obstacles.clearance import Mount, Surroundings
 from smal.obstacles.strange import GROUND_CONFIG, swept
 from smal.particles import FILTER_CONFIG, FilterConfig
@@ -246,10 +257,10 @@ class Localizer:
                 f"the time since the frame before must be finite and not negative, got {elapsed_s}"
             )
         odometry = odometry if self._map.odometry else None
-        if odometry is not None and not (len(odometry) == 3 and all(map(math.isfinite, odometry))):
+        if odometry is not None and not is_pose(odometry):
             raise ValueError(
                 "the pose by the wheels must be three finite numbers, x, y and heading in radians, "
-                f"got {tuple(odometry)}"
+                f"got {odometry!r:.60}"
             )
         movement = STILL
         noise = BY_ATOMS
@@ -391,6 +402,12 @@ class Robot:
             Linear velocity ahead and angular velocity to the left, as shares of the robot's own, -1 to 1.
         """
         percept = perceive(image, self._localizer.features)
+        width, height = self._map.size
+        if not same_aspect(image.shape, (height, width)):
+            raise ValueError(
+                f"an image of {image.shape[1]}x{image.shape[0]} shows another view than the taught "
+                f"images of {width}x{height}; use the camera of the drive"
+            )
         # One image that is less like the map when swapped settles it.
         if len(self._swapped) < _COLOURS_CHECKED and min(self._swapped, default=1.0) > 0.0:
             self._check_colours(image, percept.features)

@@ -172,8 +172,7 @@ class Teacher:
             del episode.images[tick]
         if damaged:
             self._remark(f"{here}: {len(damaged)} damaged images left out")
-        size = next(filter(None, sizes.values()), None)
-        if size is not None:
+        for size in dict.fromkeys(filter(None, sizes.values())):
             self._check_size(here, size)
 
     def _check_size(self, here: str, size: Size) -> None:
