@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from smal.arrays import AnyArray, Float32s, Floats, Uint8s
+from smal.camera import TURNS_DEG
 from smal.camera_change import CameraPitch
 from smal.features import extract
 from smal.features.detectors import Detection
@@ -159,9 +160,12 @@ class Localizer:
         best = int(belief.keyframes[0])
         near = np.zeros(len(self._map.keyframes), dtype=np.bool_)
         near[beside(self._map, best, self._map.config.neighbours)] = True
-        certainty = (1.0 - belief.lost) * belief.share(near)
+        # A robot that looks away from the way sees nothing that the map shows at another pitch.
+        facing = np.abs(belief.offsets[:, 2]) <= math.radians(TURNS_DEG.max())
+        certainty = (1.0 - belief.lost) * float(belief.weights @ (near[belief.keyframes] & facing))
         picture = picture if belief.camera == "sees" else None
-        if self._pitch.compare(picture, best, certainty, self._map.lengths(self._movement)):
+        lengths = abs(self._movement.ahead) / self._map.correlation_length
+        if self._pitch.compare(picture, best, certainty, lengths):
             self._filter.forget_view()
 
     def seen(

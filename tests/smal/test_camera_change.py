@@ -72,6 +72,32 @@ def test_pitch_stays_when_only_the_light_has_changed(light: float) -> None:
     assert followed(light).pitch_deg == 0.0
 
 
+def test_pitch_is_compared_only_when_the_robot_drives_along(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    mapped, centering = usual_map()
+    localizer = Localizer(Model(centering, mapped))
+    compared = list[tuple[float, float]]()
+
+    def compare(_: object, __: Image, ___: int, certainty: float, lengths: float) -> bool:
+        compared.append((certainty, lengths))
+        return False
+
+    monkeypatch.setattr(CameraPitch, "compare", compare)
+    for pose in drive().poses[:20]:
+        localizer.locate(perceive(ROOM.look(pose), USUAL), pose.tolist())
+    certainty, lengths = np.array(compared).T
+    assert certainty[-1] > 0.9
+    assert lengths.sum() > 1.0
+    compared.clear()
+    for turned in np.arange(0.0, math.pi, 0.08):
+        there = pose + (0.0, 0.0, turned)
+        localizer.locate(perceive(ROOM.look(there), USUAL), there.tolist())
+    certainty, lengths = np.array(compared).T
+    assert certainty[-1] < 0.1
+    assert lengths.sum() == pytest.approx(0.0, abs=1e-6)
+
+
 def test_pitch_lasts_when_another_localizer_takes_over(
     pitch_camera: Callable[[float], None],
 ) -> None:
