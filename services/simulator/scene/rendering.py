@@ -29,6 +29,8 @@ _SHADER: Final = Path(__file__).parent / "shader"
 _LIGHTS: Final = 3
 _DARK: Final = ((0.0, 0.0, -1.0), (0.0, 0.0, 0.0))
 _NEAR_M: Final = 0.1
+# Margin of the field of view for the tilt of the camera, degrees.
+_TILT_DEG: Final = 3.0
 _FAR_M: Final = 2000.0
 #: Labels of pixels in the alpha channel, 0 to 255; our shader takes them from the material. Colours
 #: are blended with earlier draws by alpha, so labels are near 255, and the victim and the robot are
@@ -78,7 +80,9 @@ class SceneCamera:
             self._obstacles: list[Any] = []
             self._people: list[Any] = []
             self._walk: Sequence[Pose] = ()
-            self._add(self._body(scene.still, STILL))
+            if scene.still:
+                self._add(self._body(scene.still, STILL))
+            self._tiles = self._add_tiles(scene.tiles)
             self._sky = None if scene.sky is None else self._add(self._body([scene.sky], SKY))
             self._camera = self._lens(settings.width, settings.height, self.focal_px)
             self._mast = self._add(self._camera)
@@ -144,6 +148,8 @@ class SceneCamera:
         if self._above is None:
             raise LookupError("this place has no overhead camera")
         self._put_robot(pose)
+        for tile, _ in self._tiles:
+            tile.visibility = 1.0
         self._scene.update_render()
         self._above.take_picture()
         # The scene no longer matches the image of the robot's own camera.
@@ -160,6 +166,7 @@ class SceneCamera:
             return
         self._put_robot(pose)
         at = (*pose.at(self._mount.ahead_m), self._mount.height_m)
+        self._hide_tiles(pose)
         mast = self._sapien.Pose(at, _turn(pose.heading, tilt))
         self._mast.set_pose(mast)
         if self._sky is not None:
@@ -168,21 +175,50 @@ class SceneCamera:
         self._camera.take_picture()
         self._seen_from = pose, tilt
 
+    def _add_tiles(self, tiles: Sequence[Surface]) -> list[tuple[Any, NDArray[np.float32]]]:
+        """Add each tile as a body; return it with the corners (4, 2) of its bounds."""
+        textures: dict[int, Any] = {}
+        found = []
+        for tile in each(tiles):
+            body = self._body([tile], STILL, textures)
+            self._add(body)
+            xy = tile.mesh.vertices[:, :2]
+            (x, y), (to_x, to_y) = xy.min(axis=0), xy.max(axis=0)
+            found.append((body, np.array([(x, y), (x, to_y), (to_x, y), (to_x, to_y)])))
+        return found
+
+    def _hide_tiles(self, pose: Pose) -> None:
+        """Hide the tiles behind the camera and beside its field of view."""
+        x, y = pose.at(self._mount.ahead_m)
+        to_robot = np.array([[math.cos(pose.heading), -math.sin(pose.heading)],
+                             [math.sin(pose.heading), math.cos(pose.heading)]])  # fmt: skip
+        slope = math.tan(math.radians(FIELD_OF_VIEW_DEG / 2 + _TILT_DEG))
+        for tile, corners in self._tiles:
+            ahead, left = ((corners - (x, y)) @ to_robot).T
+            beside = (left > slope * ahead).all() or (-left > slope * ahead).all()
+            tile.visibility = float(not (beside or (ahead < 0).all()))
+
     def _put_robot(self, pose: Pose) -> None:
         self._robot.set_pose(self._sapien.Pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
 
-    def _body(self, surfaces: Sequence[Surface], label: int) -> Any:
-        """Build a body of the surfaces with a pixel `label`; each picture is one material."""
+    def _body(
+        self, surfaces: Sequence[Surface], label: int, textures: dict[int, Any] | None = None
+    ) -> Any:
+        """Build a body of the surfaces with a pixel `label`; `textures` are shared by picture."""
         render = self._sapien.render
-        materials = dict[int, Any]()
+        known = {} if textures is None else textures
+        materials = dict[tuple[object, ...], Any]()
         body = render.RenderBodyComponent()
         for surface in each(surfaces):
             mesh = surface.mesh
-            picture = surface.picture
-            if id(picture) not in materials:
-                materials[id(picture)] = _material(render, surface, label)
+            picture = id(surface.picture)
+            if picture not in known:
+                known[picture] = _texture(render, surface.picture)
+            key = picture, surface.glows, surface.tint
+            if key not in materials:
+                materials[key] = _material(render, known[picture], surface, label)
             arrays = mesh.vertices, mesh.triangles, mesh.normals, mesh.uvs
-            body.attach(render.RenderShapeTriangleMesh(*arrays, materials[id(picture)]))
+            body.attach(render.RenderShapeTriangleMesh(*arrays, materials[key]))
         return body
 
     def _add(self, component: Any) -> Any:
@@ -210,16 +246,18 @@ class SceneCamera:
         return camera
 
 
-def _material(render: Any, surface: Surface, label: int) -> Any:
-    height, width, _ = surface.picture.shape
-    opaque = np.dstack([surface.picture, np.full((height, width), 255, dtype=np.uint8)])
+def _texture(render: Any, picture: NDArray[np.uint8]) -> Any:
+    height, width, _ = picture.shape
+    opaque = np.dstack([picture, np.full((height, width), 255, dtype=np.uint8)])
     levels = int(math.log2(max(height, width))) + 1
-    texture = render.RenderTexture2D(
-        opaque, "R8G8B8A8Unorm", levels, "linear", "repeat", srgb=False
-    )
+    return render.RenderTexture2D(opaque, "R8G8B8A8Unorm", levels, "linear", "repeat", srgb=False)
+
+
+def _material(render: Any, texture: Any, surface: Surface, label: int) -> Any:
     material = render.RenderMaterial(
-        base_color=[0.0, 0.0, 0.0, 1.0], specular=0.0, roughness=label / 255, metallic=0.0
-    )
+        base_color=[0.0, 0.0, 0.0, 1.0], specular=0.0, roughness=label / 255, metallic=0.0,
+        emission=[*surface.tint, 1.0],
+    )  # fmt: skip
     if surface.glows:
         material.set_emission_texture(texture)
     else:

@@ -18,11 +18,15 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A mesh with a picture, (h, w, 3) uint8 RGB; `glows` disables lighting."""
+    """A mesh with a picture, (h, w, 3) uint8 RGB; `glows` disables lighting.
+
+    `tint` multiplies the colours of a picture that glows.
+    """
 
     mesh: Mesh
     picture: Picture
     glows: bool = False
+    tint: Vector = (1.0, 1.0, 1.0)
 
 
 class SceneSurfaces(NamedTuple):
@@ -37,6 +41,8 @@ class SceneSurfaces(NamedTuple):
     # The robot about its own origin, x forward; empty without an overhead camera.
     robot: tuple[Surface, ...] = ()
     sky: Surface | None = None  # Dome that moves with the camera; None under a ceiling.
+    # Further static surfaces, each drawn only in view: large scans have too many triangles.
+    tiles: tuple[Surface, ...] = ()
 
 
 class Finish(NamedTuple):

@@ -10,9 +10,10 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from services.simulator.world.furniture import Furniture, FurnitureKind
-from services.simulator.world.place import World
+from services.simulator.world.place import World, WorldError
 from services.simulator.world.room import Room
 from services.simulator.world.route import plan_route
+from services.simulator.world.scan import Scan
 from services.simulator.world.terrain import Terrain, Tree
 
 _TREE_MOVES_M: Final = 3.0
@@ -35,8 +36,18 @@ def vary(world: World, *, facade_seed: int = 0, clutter_seed: int = 0) -> World:
     clutter_seed : int
         Seed of positions: trees move by up to 3 m, boxes, plants and tables by up to 0.3 m, at
         least `Scale.room_m` off the route. 0 keeps them.
+
+    Raises
+    ------
+    WorldError
+        The place is a scan, which has neither façades nor movable objects.
     """
     place = world.place
+    if (facade_seed or clutter_seed) and isinstance(place, Scan):
+        raise WorldError(
+            f"{world.name}: a scan's surfaces and furniture cannot change; choose a --variation of "
+            "light, haze or exposure"
+        )
     if facade_seed and isinstance(place, Terrain):
         facades = {
             one: replace(one, colour=None, variant=_mixed(one, facade_seed))

@@ -1,0 +1,330 @@
+"""Read a scan (glTF, OBJ or PLY) into textured triangles, with its unit and its up axis."""
+
+import io
+import json
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.signal import find_peaks
+from trimesh.visual import ColorVisuals
+
+from schemas.codec import printable
+from services.simulator.scanning.mesh_file import Part
+from services.simulator.world.place import WorldError
+from services.simulator.world.scan import SUFFIXES
+
+#: Metres of the units that files have, in the order in which they are tried.
+UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+AXES: Final = ("x", "y", "z", "-x", "-y", "-z")
+# Height of a storey from the floor to the ceiling. Only one unit puts a value in this range.
+_STOREY_M: Final = (2.0, 4.5)
+# glTF files are in metres by their standard, unless a storey is lower or higher than this.
+_METRES_STOREY_M: Final = (1.8, 15.0)
+# Horizontal extent of a place without a ceiling.
+_EXTENT_M: Final = (2.0, 300.0)
+# Share of the largest level's area that a floor and a ceiling have at least.
+_LEVEL: Final = 0.25
+_BINS: Final = 256
+# glTF's up axis holds unless another axis has a level of this many times the area.
+_CLEARLY: Final = 2.0
+#: Memory of the textures with their smaller copies, bytes, and the longest side, pixels.
+MOST_TEXTURE: Final = 1 << 30
+_LONGEST_PX: Final = 8192
+_QUALITY: Final = 95
+_UNSUPPORTED: Final = {
+    "KHR_texture_basisu": "KTX2 textures are unsupported; convert them: "
+    "gltf-transform ktxdecompress IN.glb OUT.glb",
+    "EXT_meshopt_compression": "meshopt compression is unsupported; convert it: "
+    "gltf-transform copy IN.glb OUT.glb",
+}
+_PLAIN_PX: Final = 4
+
+
+@dataclass(frozen=True)
+class Scanned:
+    """A scan in metres, z up.
+
+    `untextured` is the share of the area without a picture or colours; `notes` describe decisions
+    and warnings, by their name.
+    """
+
+    parts: tuple[Part, ...]
+    untextured: float
+    notes: tuple[tuple[str, str], ...]
+
+
+class _Paint(NamedTuple):
+    """Picture and texture coordinates of a mesh, and whether they come from the scan."""
+
+    picture: Image.Image
+    uvs: NDArray[np.float32]
+    textured: bool
+
+
+def read_scan(source: Path, scale: float | None = None, up: str | None = None) -> Scanned:
+    """Read a scan; `scale` (metres per unit) and `up` replace the detected values.
+
+    Raises
+    ------
+    WorldError
+        The file is not a usable mesh.
+    """
+    kind = _kind(source)
+    meshes = list(_meshes(source, kind))
+    if not meshes:
+        raise WorldError(
+            "it has no triangles; a scan must be a mesh (a point cloud is unsupported)"
+        )
+    areas = np.array([mesh.area for mesh, _ in meshes])
+    paints = [_paint(mesh) for mesh, _ in meshes]
+    shrink, notes = _shrink([paint.picture for paint in paints])
+    jpegs = _Jpegs(shrink)
+    parts = [
+        Part(*_corners(mesh, paint), jpegs.of(paint.picture), both)
+        for (mesh, both), paint in zip(meshes, paints, strict=True)
+    ]
+    standing, axis = _upright(parts, up, usual="y" if kind in {"glb", "gltf"} else None)
+    sized, unit = _to_metres(standing, scale, metric=kind in {"glb", "gltf"})
+    plain = float(areas[[not paint.textured for paint in paints]].sum() / areas.sum())
+    return Scanned(tuple(sized), plain, (axis, unit, *notes))
+
+
+def _kind(source: Path) -> str:
+    """Return the format: by the file name, or of an upload without a name by its first bytes."""
+    if source.suffix.lower() in SUFFIXES:
+        return source.suffix.lower()[1:]
+    with source.open("rb") as file:
+        return "ply" if file.read(4).startswith(b"ply") else "glb"
+
+
+def _meshes(source: Path, kind: str) -> Iterator[tuple[trimesh.Trimesh, bool]]:
+    """Yield the meshes in the coordinates of the file, and whether both sides are visible."""
+    Image.MAX_IMAGE_PIXELS = None  # The child process has a limit of memory.
+    _check_extensions(source, kind)
+    try:
+        with source.open("rb") as file:
+            resolver = trimesh.resolvers.FilePathResolver(str(source.resolve()))
+            scene = trimesh.load_scene(file, file_type=kind, resolver=resolver, process=False)
+    except Exception as error:  # noqa: BLE001 - trimesh raises many types for damaged files
+        reason = printable(str(error).partition("\n")[0] or type(error).__name__, 200)
+        raise WorldError(f"cannot be read as {kind.upper()} ({reason})") from None
+    for node in scene.graph.nodes_geometry:
+        transform, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
+            mesh = mesh.copy()
+            mesh.apply_transform(transform)
+            usable = np.isfinite(mesh.triangles).all(axis=(1, 2)) & (mesh.area_faces > 0)
+            mesh.update_faces(usable)
+            material = getattr(mesh.visual, "material", None)
+            # Only glTF can hide back faces.
+            both = kind not in {"glb", "gltf"} or bool(getattr(material, "doubleSided", True))
+            if len(mesh.faces):
+                yield mesh, both
+
+
+def _check_extensions(source: Path, kind: str) -> None:
+    """Reject glTF extensions that cannot be read, with the remedy."""
+    if kind not in {"glb", "gltf"}:
+        return
+    with source.open("rb") as file:
+        head = file.read(20)
+        length = int.from_bytes(head[12:16], "little") if head[:4] == b"glTF" else None
+        text = file.read(length) if length else head + file.read()
+    used: list[str] = []
+    with suppress(ValueError, AttributeError):  # Damaged text is rejected by trimesh.
+        used = json.loads(text).get("extensionsUsed", [])
+    for name, remedy in _UNSUPPORTED.items():
+        if name in used:
+            raise WorldError(remedy)
+
+
+def _paint(mesh: trimesh.Trimesh) -> _Paint:
+    visual = mesh.visual
+    if isinstance(visual, ColorVisuals):
+        if visual.kind is None:
+            return _plain(mesh, (200, 200, 200), textured=False)
+        return _coloured(mesh, np.asarray(visual.vertex_colors)[mesh.faces, :3])
+    material = visual.material
+    image = _image(material)
+    if image is None or visual.uv is None:
+        return _plain(mesh, material.main_color[:3], textured=False)
+    factor = getattr(material, "baseColorFactor", None)
+    if factor is not None and min(factor[:3]) < 255:
+        scales = [value / 255 for value in factor[:3]]
+        bands = zip(image.split(), scales, strict=True)
+        image = Image.merge("RGB", [band.point(lambda v, s=s: round(v * s)) for band, s in bands])
+    # trimesh counts v upwards.
+    uvs = np.asarray(visual.uv, dtype=np.float32)[mesh.faces] * (1, -1) + (0, 1)
+    return _Paint(image, uvs.astype(np.float32), textured=True)
+
+
+def _image(material: Any) -> Image.Image | None:
+    names = ("image", "baseColorTexture", "emissiveTexture")
+    found = (getattr(material, name, None) for name in names)
+    image = next((one for one in found if one is not None), None)
+    if image is None or image.mode == "RGB":
+        return image
+    return image.convert("RGB")
+
+
+def _plain(mesh: trimesh.Trimesh, colour: Sequence[int], *, textured: bool) -> _Paint:
+    picture = Image.new("RGB", (_PLAIN_PX, _PLAIN_PX), tuple(int(value) for value in colour))
+    return _Paint(picture, np.full((len(mesh.faces), 3, 2), 0.5, dtype=np.float32), textured)
+
+
+def _coloured(mesh: trimesh.Trimesh, colours: NDArray[np.uint8]) -> _Paint:
+    """Paint the corner colours (n, 3, 3) of each triangle into 2 by 2 pixels.
+
+    Linear filtering between the centres of three pixels blends the colours as a renderer with
+    vertex colours does; the fourth pixel continues the plane.
+    """
+    count = len(mesh.faces)
+    side = math.ceil(math.sqrt(count))
+    row, column = np.divmod(np.arange(count), side)
+    picture = np.zeros((2 * side, 2 * side, 3), dtype=np.uint8)
+    first, right, below = (colours[:, k].astype(np.int16) for k in range(3))
+    picture[2 * row, 2 * column] = first
+    picture[2 * row, 2 * column + 1] = right
+    picture[2 * row + 1, 2 * column] = below
+    picture[2 * row + 1, 2 * column + 1] = np.clip(right + below - first, 0, 255)
+    corner = 2 * np.stack([column, row], axis=1)[:, None]
+    uvs = (corner + np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]])) / (2 * side)
+    return _Paint(Image.fromarray(picture), uvs.astype(np.float32), textured=True)
+
+
+def _corners(
+    mesh: trimesh.Trimesh, paint: _Paint
+) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.uint32]]:
+    """Return vertices, texture coordinates and triangles, with equal corners merged."""
+    index = mesh.faces.reshape(-1)
+    uvs = paint.uvs.reshape(-1, 2)
+    keys = np.column_stack([index.astype(np.float64), uvs])
+    _, once, again = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    return mesh.vertices[index[once]], uvs[once], again.reshape(-1, 3).astype(np.uint32)
+
+
+def _shrink(pictures: Sequence[Image.Image]) -> tuple[int, list[tuple[str, str]]]:
+    """Return the divisor of the pictures' sides that fits the memory, and a warning if above 1."""
+    distinct = {id(picture): picture for picture in pictures}.values()
+    pixels = sum(picture.width * picture.height for picture in distinct)
+    longest = max(max(picture.size) for picture in distinct)
+    divisor = 1
+    while 4 * 4 / 3 * pixels / divisor**2 > MOST_TEXTURE or longest / divisor > _LONGEST_PX:
+        divisor *= 2
+    if divisor == 1:
+        return 1, []
+    need = f"{4 * 4 / 3 * pixels / 2**30:.1f} GiB"
+    return divisor, [("warning", f"textures of {need} reduced to 1/{divisor} of their sides")]
+
+
+class _Jpegs:
+    """Encodes each picture once."""
+
+    def __init__(self, divisor: int) -> None:
+        self._divisor = divisor
+        self._done: dict[int, bytes] = {}
+
+    def of(self, picture: Image.Image) -> bytes:
+        if id(picture) not in self._done:
+            self._done[id(picture)] = self._encoded(picture)
+        return self._done[id(picture)]
+
+    def _encoded(self, picture: Image.Image) -> bytes:
+        width, height = (max(1, side // self._divisor) for side in picture.size)
+        content = io.BytesIO()
+        shown = (
+            picture if self._divisor == 1 else picture.resize((width, height), Image.Resampling.BOX)
+        )
+        shown.save(content, "JPEG", quality=_QUALITY, subsampling=0)
+        return content.getvalue()
+
+
+def _upright(
+    parts: list[Part], wish: str | None, usual: str | None
+) -> tuple[list[Part], tuple[str, str]]:
+    """Turn the parts so that z is up, along the axis of the largest level surface."""
+    area = {axis: _largest_level(parts, axis) for axis in ("y", "z")}
+    best = max(area, key=lambda axis: area[axis])
+    if usual is not None and area[best] < _CLEARLY * area[usual]:
+        best = usual
+    axis = wish or best
+    how = "given" if wish else "detected; --up AXIS sets it"
+    turn = _turn_to_z(axis)
+    turned = [replace(part, vertices=part.vertices @ turn.T) for part in parts]
+    return turned, ("up axis", f"{axis} ({how})")
+
+
+def _turn_to_z(axis: str) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) of an axis to z."""
+    up = np.zeros(3)
+    up["xyz".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
+    return np.round(trimesh.geometry.align_vectors(up, [0.0, 0.0, 1.0])[:3, :3])
+
+
+def _levels(parts: Sequence[Part], axis: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the area of level surfaces by height along an axis, and the heights."""
+    height = "xyz".index(axis[-1])
+    corners = np.concatenate([part.vertices[part.triangles] for part in parts])
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    area = np.linalg.norm(normal, axis=1)
+    level = np.abs(normal[:, height]) > 0.9 * area
+    middle = corners[:, :, height].mean(axis=1)
+    ends = np.quantile(middle, (0.001, 0.999)) if len(middle) else (0.0, 1.0)
+    counts, edges = np.histogram(
+        middle[level], _BINS, (ends[0], max(ends[1], ends[0] + 1e-9)), weights=area[level]
+    )
+    return counts, (edges[:-1] + edges[1:]) / 2
+
+
+def _largest_level(parts: Sequence[Part], axis: str) -> float:
+    return float(_levels(parts, axis)[0].max())
+
+
+def _storey(parts: Sequence[Part]) -> float | None:
+    """Return the height from the lowest large level surface to the next, in units of the file."""
+    counts, heights = _levels(parts, "z")
+    smooth = np.convolve(np.pad(counts, 2), (0.5, 1.0, 1.0, 1.0, 0.5), mode="same")
+    peaks, _ = find_peaks(smooth, height=_LEVEL * smooth.max(), distance=_BINS // 16)
+    if len(peaks) < 2:
+        return None
+    return float(heights[min(peaks[1] - 2, _BINS - 1)] - heights[max(peaks[0] - 2, 0)])
+
+
+def _to_metres(
+    parts: list[Part], wish: float | None, *, metric: bool
+) -> tuple[list[Part], tuple[str, str]]:
+    """Scale the parts to metres, by the height of a storey or else by the extent."""
+    storey = _storey(parts)
+    corners = np.concatenate([part.vertices for part in parts])
+    extent = float(np.ptp(corners[:, :2], axis=0).max())
+    unit, why = _unit(storey, extent, metric=metric)
+    scale = wish or UNITS[unit]
+    if wish:
+        why = "given"
+    sized = [replace(part, vertices=part.vertices * scale) for part in parts]
+    return sized, ("unit", f"{scale:g} m ({why})")
+
+
+def _unit(storey: float | None, extent: float, *, metric: bool) -> tuple[str, str]:
+    detected = "detected; --scale METRES sets it"
+    if storey is not None:
+        if metric and _METRES_STOREY_M[0] <= storey <= _METRES_STOREY_M[1]:
+            return "m", "as glTF defines; --scale METRES sets it"
+        for unit, metres in UNITS.items():
+            if _STOREY_M[0] <= storey * metres <= _STOREY_M[1]:
+                return unit, f"{detected}: a storey of {storey * metres:.1f} m"
+    for unit in ("m", "cm", "mm"):
+        if _EXTENT_M[0] <= extent * UNITS[unit] <= _EXTENT_M[1]:
+            return unit, "assumed from the extent; --scale METRES sets it"
+    raise WorldError(
+        f"its extent of {extent:g} fits no unit; give --scale METRES, the length of a unit of the file"
+    )

@@ -1,0 +1,98 @@
+"""Scene of a scan: its pictures unlit, in tiles, with the victim and the sky."""
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from services.simulator.robots import TURTLEBOT
+from services.simulator.scanning.mesh_file import Part, read_parts
+from services.simulator.scene import bodies
+from services.simulator.scene.meshes import Mesh, make
+from services.simulator.scene.room import indoor_light
+from services.simulator.scene.sky import outdoor_light, sky_dome
+from services.simulator.scene.surfaces import SceneSurfaces, Surface, Vector, surfaces
+from services.simulator.variation import DAY, Daylight
+from services.simulator.world.scan import Scan
+
+# Side of the tiles, in clearances of the place.
+_TILE: Final = 12.0
+# Half the width of a door: the floor farther from walls falls apart into rooms.
+_HALF_DOOR_M: Final = 0.55
+# Standard deviation of the brightness of each room's lamps and of their colour, of light that
+# differs from the day of the scan.
+_LAMPS: Final = 0.15
+_COLOUR: Final = 0.06
+_GAMMA: Final = 2.2  # Of the shader: pictures are gamma-encoded.
+
+
+def build(scan: Scan, light: Daylight) -> SceneSurfaces:
+    """Build the tiles of a scan; raises WorldError for a damaged mesh file."""
+    victim, decoys = (
+        ("nao", bodies.INDOOR_DECOYS)
+        if scan.robot is TURTLEBOT
+        else ("person", bodies.OUTDOOR_DECOYS)
+    )
+    return SceneSurfaces(
+        *(outdoor_light(light) if scan.sky else indoor_light(light)),
+        still=(),
+        victim=surfaces(bodies.body(victim)),
+        decoys=tuple(surfaces(bodies.body(name)) for name in decoys),
+        sky=sky_dome(light) if scan.sky else None,
+        tiles=tuple(_tiles(scan, light)),
+    )
+
+
+def _tiles(scan: Scan, light: Daylight) -> Iterator[Surface]:
+    """Cut the parts into square tiles, with the light of the room that each lies in."""
+    rooms = _Rooms(scan, light)
+    for part, picture in read_parts(scan.mesh):
+        middles = part.vertices[part.triangles].mean(axis=1)
+        side_m = _TILE * scan.scale.clearance_m
+        tiles, of = np.unique(np.floor(middles[:, :2] / side_m), axis=0, return_inverse=True)
+        for number, tile in enumerate(tiles):
+            mesh = _mesh(part, of.ravel() == number)
+            tint = rooms.tint((tile + 0.5) * side_m)
+            yield Surface(mesh, picture, glows=True, tint=tint)
+            if part.both:
+                yield Surface(mesh.flipped(), picture, glows=True, tint=tint)
+
+
+def _mesh(part: Part, which: NDArray[np.bool_]) -> Mesh:
+    used, triangles = np.unique(part.triangles[which], return_inverse=True)
+    vertices = part.vertices[used]
+    # Unlit surfaces need no normals.
+    return make(vertices, np.zeros_like(vertices), part.uvs[used], triangles.reshape(-1, 3))
+
+
+class _Rooms:
+    """Light of each room, relative to the light of the scan."""
+
+    def __init__(self, scan: Scan, light: Daylight) -> None:
+        cores = shapely.get_parts(scan.floor.footprint.buffer(-_HALF_DOOR_M))
+        self._tree = shapely.STRtree(cores if len(cores) else [scan.floor.footprint])
+        count = len(self._tree.geometries)
+        gain = np.divide(_brightness(light, scan), _brightness(DAY.light, scan))
+        self._gains = np.broadcast_to(gain, (count, 3))
+        if not scan.sky and light != DAY.light:
+            rng = np.random.default_rng(light.clouds_seed)
+            lamps = np.exp(_LAMPS * rng.standard_normal((count, 1)))
+            warmth = _COLOUR * rng.standard_normal((count, 1)) * (1.0, 0.0, -1.0)
+            self._gains = self._gains * lamps * np.exp(warmth)
+
+    def tint(self, xy: NDArray[np.float64]) -> Vector:
+        """Return the factors of the gamma-encoded colours at a place (2,)."""
+        room = int(self._tree.nearest(shapely.Point(xy)))
+        red, green, blue = (self._gains[room] ** (1 / _GAMMA)).tolist()
+        return red, green, blue
+
+
+def _brightness(light: Daylight, scan: Scan) -> Vector:
+    """Return the light on a level surface."""
+    if not scan.sky:
+        return light.lamps
+    sun = np.array(light.sun) * -light.direction[2] / np.pi
+    red, green, blue = (np.array(light.sky) + sun + np.array(light.fill) * 0.2 / np.pi).tolist()
+    return red, green, blue
