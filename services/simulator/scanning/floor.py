@@ -210,6 +210,7 @@ class _Columns:
         centre = groups == np.bincount(groups.ravel())[1:].argmax() + 1
         inside = ndimage.distance_transform_edt(~centre) * self._cell_m < self._robot.radius_m
         rim = ndimage.binary_dilation(inside, iterations=2) & ~inside
+        fenced = ndimage.binary_dilation(blocked, iterations=3)
         camera = round(self._robot.camera.height_m / self._cell_height_m)
         above = self._hit(base + self._top, int(self._shape[2]) - self._top)
         above &= self._next_in_column(base + self._top)
@@ -226,7 +227,7 @@ class _Columns:
             height_m=storey.height_m,
             storeys=storeys,
             holes=float((inside & ~known).sum() / inside.sum()),
-            open_edge=float((rim & ~blocked).sum() / max(rim.sum(), 1)),
+            open_edge=float((rim & ~fenced).sum() / max(rim.sum(), 1)),
             roofed=float((above & inside).sum() / inside.sum()),
         )
 

@@ -23,7 +23,13 @@ from services.simulator.world.scan import SUFFIXES
 
 #: Metres of the units that files have, in the order in which they are tried.
 UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
-AXES: Final = ("x", "y", "z", "-x", "-y", "-z")
+# Axes that become x, y and z, for each up axis: rows of a rotation.
+_ROTATIONS: Final = {
+    "x": ((0, 1, 0), (0, 0, 1), (1, 0, 0)), "-x": ((0, 1, 0), (0, 0, -1), (-1, 0, 0)),
+    "y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)), "-y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)), "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+}  # fmt: skip
+AXES: Final = tuple(_ROTATIONS)
 # Height of a storey from the floor to the ceiling. Only one unit puts a value in this range.
 _STOREY_M: Final = (2.0, 4.5)
 # glTF files are in metres by their standard, unless a storey is lower or higher than this.
@@ -33,6 +39,7 @@ _EXTENT_M: Final = (2.0, 300.0)
 # Share of the largest level's area that a floor and a ceiling have at least.
 _LEVEL: Final = 0.25
 _BINS: Final = 256
+_OUTLIERS: Final = 0.002  # Share of the area at either end that the extent leaves out.
 # glTF's up axis holds unless another axis has a level of this many times the area.
 _CLEARLY: Final = 2.0
 #: Memory of the textures with their smaller copies, bytes, and the longest side, pixels.
@@ -258,16 +265,9 @@ def _upright(
         best = usual
     axis = wish or best
     how = "given" if wish else "detected; --up AXIS sets it"
-    turn = _turn_to_z(axis)
+    turn = np.array(_ROTATIONS[axis])
     turned = [replace(part, vertices=part.vertices @ turn.T) for part in parts]
     return turned, ("up axis", f"{axis} ({how})")
-
-
-def _turn_to_z(axis: str) -> NDArray[np.float64]:
-    """Return the rotation (3, 3) of an axis to z."""
-    up = np.zeros(3)
-    up["xyz".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
-    return np.round(trimesh.geometry.align_vectors(up, [0.0, 0.0, 1.0])[:3, :3])
 
 
 def _levels(parts: Sequence[Part], axis: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -278,9 +278,12 @@ def _levels(parts: Sequence[Part], axis: str) -> tuple[NDArray[np.float64], NDAr
     area = np.linalg.norm(normal, axis=1)
     level = np.abs(normal[:, height]) > 0.9 * area
     middle = corners[:, :, height].mean(axis=1)
-    ends = np.quantile(middle, (0.001, 0.999)) if len(middle) else (0.0, 1.0)
+    # Outliers do not count: a floor of two triangles has a large area, specks have a small one.
+    order = np.argsort(middle)
+    share = np.cumsum(area[order]) / area.sum()
+    low, high = middle[order][np.searchsorted(share, (_OUTLIERS, 1 - _OUTLIERS))]
     counts, edges = np.histogram(
-        middle[level], _BINS, (ends[0], max(ends[1], ends[0] + 1e-9)), weights=area[level]
+        np.clip(middle[level], low, high), _BINS, (low, high + 1e-9), weights=area[level]
     )
     return counts, (edges[:-1] + edges[1:]) / 2
 
