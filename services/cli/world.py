@@ -3,7 +3,7 @@
 import math
 import re
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict
 from io import BytesIO
@@ -148,7 +148,7 @@ def import_world(
     typer.echo(f"wrote {out}; next: smal demonstrate --world {out} --out DIR")
 
 
-def _refuse(kind: str, values: dict[str, object]) -> None:
+def _refuse(kind: str, values: Mapping[str, object]) -> None:
     """Reject options that a kind of source does not have."""
     for option, value in values.items():
         if value is not None:

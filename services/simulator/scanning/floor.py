@@ -5,6 +5,7 @@ has room for the robot above it, and drives to neighbouring cells that are at mo
 higher or lower. Each connected group of such cells is a floor: a storey, or a table top.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -16,14 +17,15 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from shapely import MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
 
 from services.simulator.robots import RobotModel
 from services.simulator.scanning.mesh_file import Part
 from services.simulator.world.place import WorldError, polygons
 
-# Cells are this share of the robot's radius wide, and of its climbable step high.
+# Width of a cell in radii of the robot, and number of cells in its climbable step.
 _CELL: Final = 0.25
-_CELL_HEIGHT: Final = 1 / 3
+_CLIMB: Final = 3  # Cells.
 # Mean number of samples in a cell that a surface crosses, and the number that makes it solid:
 # specks are smaller than a cell.
 _SAMPLES: Final = 8
@@ -33,12 +35,20 @@ _MOST_SAMPLES: Final = 60_000_000
 _FACES_UP: Final = 0.6
 # Gaps in the floor up to this many cells wide are closed.
 _GAP: Final = 4
+_MARGIN: Final = 2 * _GAP  # Free cells around a scan.
+# Cells (rows, columns) to which the robot drives: one gap of a cell is bridged.
+_NEIGHBOURS: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2))
 #: Least area of a floor.
 LEAST_M2: Final = 2.0
 # The lowest floor is chosen unless another one is larger by this factor: a ceiling is also level.
 _LARGER: Final = 2.0
 # Floor heights are smoothed over this distance before the scan is laid level.
 _SMOOTH_M: Final = 0.5
+
+
+_NEVER: Final = np.iinfo(np.int64).max
+
+Cells = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -84,7 +94,7 @@ def find_floor(
 class _Storey:
     """Connected floor cells; `codes` are sorted."""
 
-    codes: NDArray[np.int64]
+    codes: Cells
     height_m: float
     area_m2: float
 
@@ -96,31 +106,22 @@ class _Columns:
         self._parts = parts
         self._robot = robot
         self._cell_m = _CELL * robot.radius_m
-        self._cell_height_m = _CELL_HEIGHT * robot.climb_m
-        self._climb = round(robot.climb_m / self._cell_height_m)
-        self._top = int(np.ceil(robot.top_m / self._cell_height_m))
+        self._cell_height_m = robot.climb_m / _CLIMB
+        self._top = math.ceil(robot.top_m / self._cell_height_m)
+        size_m = np.array([self._cell_m, self._cell_m, self._cell_height_m])
         points, faces_up = self._samples()
-        self._low = points.min(axis=0) - self._margin_m
-        cells = ((points - self._low) / self._size_m).astype(np.int64)
-        # Room above the highest cell, so that a search stays in its column.
-        self._shape = cells.max(axis=0) + (self._margin, self._margin, self._top + self._climb + 2)
-        codes = self._codes(*cells.T)
+        self._low = points.min(axis=0) - _MARGIN * size_m
+        cells = ((points - self._low) / size_m).astype(np.int64)
+        # Room above the highest cell, so that a search for the robot's height stays in its column.
+        above = self._top + _CLIMB + 2
+        rows, columns, heights = (cells.max(axis=0) + np.array([_MARGIN, _MARGIN, above])).tolist()
+        self._plan = (rows, columns)
+        self._heights = heights
+        codes = self._codes(cells[:, 0], cells[:, 1], cells[:, 2])
         occupied, counts = np.unique(codes, return_counts=True)
         self._solid = occupied[counts >= _SOLID]
         level = np.unique(codes[faces_up])
-        self._floor = level[~self._hit(level + self._climb, self._top)]
-
-    @property
-    def _margin(self) -> int:
-        return 2 * _GAP
-
-    @property
-    def _margin_m(self) -> NDArray[np.float64]:
-        return self._margin * self._size_m * (1, 1, 1)
-
-    @property
-    def _size_m(self) -> NDArray[np.float64]:
-        return np.array([self._cell_m, self._cell_m, self._cell_height_m])
+        self._floor = level[~self._hit(level + _CLIMB, self._top)]
 
     def _samples(self) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Return random points (n, 3) of the surfaces, and whether they face up."""
@@ -128,9 +129,8 @@ class _Columns:
         corners = [part.vertices[part.triangles] for part in self._parts]
         normals = [np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]) / 2 for c in corners]
         areas = [np.linalg.norm(normal, axis=1) for normal in normals]
-        whole_m2 = sum(float(area.sum()) for area in areas)
         density = _SAMPLES / (self._cell_m * min(self._cell_m, self._cell_height_m))
-        density = min(density, _MOST_SAMPLES / whole_m2)
+        density = min(density, _MOST_SAMPLES / sum(float(area.sum()) for area in areas))
         points = []
         ups = []
         for part, corner, normal, area in zip(self._parts, corners, normals, areas, strict=True):
@@ -145,99 +145,94 @@ class _Columns:
             ups.append((np.abs(up) if part.both else up)[which] > _FACES_UP)
         return np.concatenate(points), np.concatenate(ups)
 
-    def _codes(
-        self, i: NDArray[np.int64], j: NDArray[np.int64], k: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
-        return (i * self._shape[1] + j) * self._shape[2] + k
+    def _codes(self, i: Cells, j: Cells, k: Cells) -> Cells:
+        return (i * self._plan[1] + j) * self._heights + k
 
-    def _hit(self, codes: NDArray[np.int64], above: int) -> NDArray[np.bool_]:
+    def _hit(self, codes: Cells, above: int | Cells) -> NDArray[np.bool_]:
         """Return whether a solid cell lies 1 to `above` cells above each cell."""
-        after = np.searchsorted(self._solid, codes, side="right")
-        return np.append(self._solid, np.iinfo(np.int64).max)[after] <= codes + above
+        return np.asarray(_next(self._solid, codes + 1) <= codes + above)
 
     def storeys(self) -> list[_Storey]:
         """Return the connected floors of at least `LEAST_M2`, the lowest first."""
         count = len(self._floor)
         pairs = []
-        for i, j in ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2)):
-            step = (i * self._shape[1] + j) * self._shape[2]
-            lowest = self._floor + step - self._climb if step else self._floor + 1
-            at = np.searchsorted(self._floor, lowest)
-            near = (
-                np.append(self._floor, np.iinfo(np.int64).max)[at]
-                <= self._floor + step + self._climb
-            )
+        for i, j in _NEIGHBOURS:
+            beside = self._floor + (i * self._plan[1] + j) * self._heights
+            at = np.searchsorted(self._floor, beside - _CLIMB if (i, j) != (0, 0) else beside + 1)
+            near = np.append(self._floor, _NEVER)[at] <= beside + _CLIMB
             pairs.append(np.stack([np.flatnonzero(near), at[near]]))
         rows, columns = np.concatenate(pairs, axis=1)
         graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), (count, count))
         _, group = connected_components(graph, directed=False)
-        order = np.argsort(group, kind="stable")
-        found = [
-            self._storey(codes)
-            for codes in np.split(self._floor[order], np.cumsum(np.bincount(group))[:-1])
-        ]
-        return sorted(
-            (one for one in found if one.area_m2 >= LEAST_M2), key=lambda one: one.height_m
-        )
+        ends = np.cumsum(np.bincount(group))[:-1]
+        groups = np.split(self._floor[np.argsort(group, kind="stable")], ends)
+        found = [self._storey(codes) for codes in groups if len(codes)]
+        large = [one for one in found if one.area_m2 >= LEAST_M2]
+        return sorted(large, key=lambda one: one.height_m)
 
-    def _storey(self, codes: NDArray[np.int64]) -> _Storey:
-        area_m2 = len(np.unique(codes // self._shape[2])) * self._cell_m**2
-        heights = self._low[2] + (codes % self._shape[2] + 0.5) * self._cell_height_m
-        return _Storey(codes, float(np.median(heights)) if len(codes) else 0.0, area_m2)
+    def _storey(self, codes: Cells) -> _Storey:
+        area_m2 = len(np.unique(codes // self._heights)) * self._cell_m**2
+        return _Storey(codes, float(np.median(self._height_m(codes % self._heights))), area_m2)
+
+    def _height_m(self, k: Cells) -> NDArray[np.float64]:
+        return np.asarray(self._low[2] + (k + 0.5) * self._cell_height_m)
 
     def floor(self, storey: _Storey, storeys: tuple[tuple[float, float], ...]) -> FoundFloor:
         """Return the largest part of a storey that the robot's body fits in."""
-        rows, columns, _ = self._shape.tolist()
-        known = np.zeros((rows, columns), dtype=np.bool_)
-        cell = np.zeros((rows, columns), dtype=np.int64)
-        column = storey.codes[::-1] // self._shape[2]  # The lowest cell of a column is set last.
-        known.flat[column] = True
-        cell.flat[column] = storey.codes[::-1] % self._shape[2]
+        known, k = self._plan_of(storey)
+        i, j = np.indices(self._plan)
+        base = self._codes(i, j, k)
+        blocked = self._hit(base + _CLIMB, self._top)
+        closed = ndimage.binary_closing(
+            known, iterations=_GAP // 2, structure=np.ones((3, 3), dtype=np.bool_)
+        )
+        inside = self._reached((known | closed) & ~blocked)
+        if not inside.any():
+            raise WorldError(
+                f"the floor at {storey.height_m:.2f} m has no room for the robot "
+                f"(radius {self._robot.radius_m:g} m)"
+            )
+        rim = ndimage.binary_dilation(inside, iterations=2) & ~inside
+        fenced = ndimage.binary_dilation(blocked, iterations=3)
+        roofed = self._hit(base + self._top, self._heights - 1 - k - self._top)
+        camera = round(self._robot.camera.height_m / self._cell_height_m)
+        opaque = self._hit(base + camera - _CLIMB, 2 * _CLIMB) & ~inside
+        area = max(polygons(self._outline(inside)), key=lambda one: one.area)
+        corner = np.array(area.bounds[:2])
+        walls = polygons(self._outline(opaque), self._cell_m**2)
+        return FoundFloor(
+            parts=tuple(self._level(self._height_m(k), corner)),
+            area=shapely.transform(area, lambda xy: xy - corner),
+            walls=shapely.transform(MultiPolygon(walls), lambda xy: xy - corner),
+            height_m=storey.height_m,
+            storeys=storeys,
+            holes=_share(~known, inside),
+            open_edge=_share(~fenced, rim),
+            roofed=_share(roofed, inside),
+        )
+
+    def _plan_of(self, storey: _Storey) -> tuple[NDArray[np.bool_], Cells]:
+        """Return which columns have the floor, and its height in every column, continued."""
+        known = np.zeros(self._plan, dtype=np.bool_)
+        k = np.zeros(self._plan, dtype=np.int64)
+        downwards = storey.codes[::-1]  # The lowest cell of a column is set last.
+        known.flat[downwards // self._heights] = True
+        k.flat[downwards // self._heights] = downwards % self._heights
         nearest = ndimage.distance_transform_edt(
             ~known, return_distances=False, return_indices=True
         )
-        cell = cell[tuple(nearest)]
-        base = self._codes(*np.indices((rows, columns)), cell)
-        blocked = self._hit(base + self._climb, self._top)
-        closed = ndimage.binary_closing(known, iterations=_GAP // 2, structure=np.ones((3, 3)))
-        free = (known | closed) & ~blocked
-        clear_m = ndimage.distance_transform_edt(free) * self._cell_m
-        groups, count = ndimage.label(clear_m >= self._robot.radius_m)
+        return known, k[tuple(nearest)]
+
+    def _reached(self, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return the largest connected area that the robot's body can cover."""
+        radius = self._robot.radius_m / self._cell_m
+        groups, count = ndimage.label(ndimage.distance_transform_edt(free) >= radius)
         if count == 0:
-            raise WorldError(
-                f"the floor at {storey.height_m:.2f} m has no room for the robot (radius {self._robot.radius_m:g} m)"
-            )
+            return np.zeros_like(free)
         centre = groups == np.bincount(groups.ravel())[1:].argmax() + 1
-        inside = ndimage.distance_transform_edt(~centre) * self._cell_m < self._robot.radius_m
-        rim = ndimage.binary_dilation(inside, iterations=2) & ~inside
-        fenced = ndimage.binary_dilation(blocked, iterations=3)
-        camera = round(self._robot.camera.height_m / self._cell_height_m)
-        above = self._hit(base + self._top, int(self._shape[2]) - self._top)
-        above &= self._next_in_column(base + self._top)
-        area = max(polygons(self._outline(inside)), key=lambda one: one.area)
-        origin = np.array([*area.bounds[:2], 0.0])
-        walls = self._outline(self._hit(base + camera - self._climb, 2 * self._climb) & ~inside)
-        heights_m = self._low[2] + (cell + 0.5) * self._cell_height_m
-        return FoundFloor(
-            parts=tuple(self._level(heights_m, origin)),
-            area=shapely.transform(area, lambda xy: xy - origin[:2]),
-            walls=MultiPolygon(
-                polygons(shapely.transform(walls, lambda xy: xy - origin[:2]), self._cell_m**2)
-            ),
-            height_m=storey.height_m,
-            storeys=storeys,
-            holes=float((inside & ~known).sum() / inside.sum()),
-            open_edge=float((rim & ~fenced).sum() / max(rim.sum(), 1)),
-            roofed=float((above & inside).sum() / inside.sum()),
-        )
+        return np.asarray(ndimage.distance_transform_edt(~centre) < radius)
 
-    def _next_in_column(self, codes: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return whether the next solid cell above is in the same column."""
-        after = np.searchsorted(self._solid, codes, side="right")
-        found = np.append(self._solid, -1)[after]
-        return found // self._shape[2] == codes // self._shape[2]
-
-    def _outline(self, cells: NDArray[np.bool_]) -> shapely.Geometry:
+    def _outline(self, cells: NDArray[np.bool_]) -> BaseGeometry:
         """Return the area of cells, with straightened edges."""
         edges = np.diff(np.pad(cells, ((0, 0), (1, 1))).astype(np.int8), axis=1)
         row, begin = np.nonzero(edges == 1)
@@ -246,14 +241,22 @@ class _Columns:
         whole = shapely.union_all(shapely.box(row, begin, row + 1, end)).simplify(1.0)
         return shapely.transform(whole, lambda xy: self._low[:2] + xy * self._cell_m)
 
-    def _level(self, heights_m: NDArray[np.float64], origin: NDArray[np.float64]) -> list[Part]:
+    def _level(self, floor_m: NDArray[np.float64], corner: NDArray[np.float64]) -> list[Part]:
         """Return the parts with the floor at height 0: verticals and the plan stay."""
-        smooth = ndimage.gaussian_filter(heights_m, _SMOOTH_M / self._cell_m, mode="nearest")
+        smooth = ndimage.gaussian_filter(floor_m, _SMOOTH_M / self._cell_m, mode="nearest")
         found = []
         for part in self._parts:
             at = (part.vertices[:, :2] - self._low[:2]) / self._cell_m - 0.5
-            floor_m = ndimage.map_coordinates(smooth, at.T, order=1, mode="nearest")
-            vertices = part.vertices - origin
-            vertices[:, 2] -= floor_m
-            found.append(replace(part, vertices=vertices))
+            below_m = ndimage.map_coordinates(smooth, at.T, order=1, mode="nearest")
+            moved = part.vertices - np.column_stack([np.tile(corner, (len(at), 1)), below_m])
+            found.append(replace(part, vertices=moved))
         return found
+
+
+def _next(codes: Cells, least: Cells) -> Cells:
+    """Return the first of the sorted codes that is at least each value, or `_NEVER`."""
+    return np.asarray(np.append(codes, _NEVER)[np.searchsorted(codes, least)])
+
+
+def _share(what: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
+    return float((what & of).sum() / max(of.sum(), 1))

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -30,7 +30,7 @@ class ScanWishes:
     scan. `climb_m` is the height of the steps that the robot can climb.
     """
 
-    task: Task = Task()
+    task: Task = field(default_factory=Task)
     scale: float | None = None
     up: str | None = None
     floor_m: float | None = None

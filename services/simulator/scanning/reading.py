@@ -7,14 +7,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageChops
 from scipy.signal import find_peaks
 from trimesh.visual import ColorVisuals
+from trimesh.visual.material import Material
 
 from schemas.codec import printable
 from services.simulator.scanning.mesh_file import Part
@@ -53,6 +54,7 @@ _UNSUPPORTED: Final = {
     "gltf-transform copy IN.glb OUT.glb",
 }
 _PLAIN_PX: Final = 4
+_GREY: Final = (200, 200, 200)  # Without a material.
 
 
 @dataclass(frozen=True)
@@ -156,36 +158,34 @@ def _check_extensions(source: Path, kind: str) -> None:
 
 def _paint(mesh: trimesh.Trimesh) -> _Paint:
     visual = mesh.visual
-    if isinstance(visual, ColorVisuals):
-        if visual.kind is None:
-            return _plain(mesh, (200, 200, 200), textured=False)
+    if isinstance(visual, ColorVisuals) and visual.kind is not None:
         return _coloured(mesh, np.asarray(visual.vertex_colors)[mesh.faces, :3])
-    material = visual.material
-    image = _image(material)
-    if image is None or visual.uv is None:
-        return _plain(mesh, material.main_color[:3], textured=False)
+    material = getattr(visual, "material", None)
+    image = None if material is None else _image(material)
+    uvs = getattr(visual, "uv", None)
+    if image is None or uvs is None:
+        return _plain(mesh, _GREY if material is None else material.main_color[:3])
     factor = getattr(material, "baseColorFactor", None)
     if factor is not None and min(factor[:3]) < 255:
-        scales = [value / 255 for value in factor[:3]]
-        bands = zip(image.split(), scales, strict=True)
-        image = Image.merge("RGB", [band.point(lambda v, s=s: round(v * s)) for band, s in bands])
+        white = Image.new("RGB", image.size, tuple(int(value) for value in factor[:3]))
+        image = ImageChops.multiply(image, white)
     # trimesh counts v upwards.
-    uvs = np.asarray(visual.uv, dtype=np.float32)[mesh.faces] * (1, -1) + (0, 1)
-    return _Paint(image, uvs.astype(np.float32), textured=True)
+    downwards = np.asarray(uvs, dtype=np.float32)[mesh.faces] * (1, -1) + (0, 1)
+    return _Paint(image, downwards.astype(np.float32), textured=True)
 
 
-def _image(material: Any) -> Image.Image | None:
+def _image(material: Material) -> Image.Image | None:
     names = ("image", "baseColorTexture", "emissiveTexture")
     found = (getattr(material, name, None) for name in names)
-    image = next((one for one in found if one is not None), None)
+    image: Image.Image | None = next((one for one in found if one is not None), None)
     if image is None or image.mode == "RGB":
         return image
     return image.convert("RGB")
 
 
-def _plain(mesh: trimesh.Trimesh, colour: Sequence[int], *, textured: bool) -> _Paint:
+def _plain(mesh: trimesh.Trimesh, colour: Sequence[int]) -> _Paint:
     picture = Image.new("RGB", (_PLAIN_PX, _PLAIN_PX), tuple(int(value) for value in colour))
-    return _Paint(picture, np.full((len(mesh.faces), 3, 2), 0.5, dtype=np.float32), textured)
+    return _Paint(picture, np.full((len(mesh.faces), 3, 2), 0.5, dtype=np.float32), textured=False)
 
 
 def _coloured(mesh: trimesh.Trimesh, colours: NDArray[np.uint8]) -> _Paint:

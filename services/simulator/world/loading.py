@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -54,7 +54,7 @@ class Task:
 class Wishes:
     """Task and extent that a user requests for a map."""
 
-    task: Task = Task()  # The map's tags come before the rule.
+    task: Task = field(default_factory=Task)  # The map's tags come before the rule.
     around: MapSurroundings | None = None  # Part of the map to read; None for the whole map.
 
 

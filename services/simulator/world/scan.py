@@ -169,7 +169,14 @@ def scan_text(world: World, source: str) -> str:
         {"x": spot.x, "y": spot.y, "heading_deg": math.degrees(spot.heading)}
         for spot in (world.start, world.victim)
     )
-    content = {"format": FORMAT, "source": source[:255], "start": start, "victim": victim}
-    content |= {"robot_name": place.robot_name, "sky": place.sky}
-    content |= {"floor": asdict(place.floor), "walls": [asdict(one) for one in place.walls]}
+    content = {
+        "format": FORMAT,
+        "source": source[:255],
+        "robot_name": place.robot_name,
+        "sky": place.sky,
+        "start": start,
+        "victim": victim,
+        "floor": asdict(place.floor),
+        "walls": [asdict(one) for one in place.walls],
+    }
     return json.dumps(content) + "\n"
