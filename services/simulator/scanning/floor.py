@@ -146,7 +146,7 @@ class _Columns:
         return np.concatenate(points), np.concatenate(ups)
 
     def _codes(self, i: Cells, j: Cells, k: Cells) -> Cells:
-        return (i * self._plan[1] + j) * self._heights + k
+        return np.asarray((i * self._plan[1] + j) * self._heights + k)
 
     def _hit(self, codes: Cells, above: int | Cells) -> NDArray[np.bool_]:
         """Return whether a solid cell lies 1 to `above` cells above each cell."""

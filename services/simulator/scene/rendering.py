@@ -16,7 +16,7 @@ from services.kit.going_on import each
 from services.simulator.scene.bodies import body
 from services.simulator.scene.build import build_scene
 from services.simulator.scene.furniture import furnish
-from services.simulator.scene.surfaces import Surface, surfaces
+from services.simulator.scene.surfaces import Surface, Tile, surfaces
 from services.simulator.scene.vulkan import cannot_render, load_sapien
 from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, CameraSettings
 from services.simulator.sensors.readings import LEVEL, Tilt
@@ -54,6 +54,36 @@ def load_renderer() -> Any:
     render.set_camera_shader_dir(str(_SHADER))
     render.set_picture_format("Color", "r8g8b8a8unorm")
     return sapien
+
+
+class _ShownTile:
+    """Bodies of a tile, near and far, with its bounds (2,) in the plan."""
+
+    def __init__(
+        self,
+        near: Any,
+        far: Any,
+        near_m: float,
+        low: NDArray[np.float32],
+        high: NDArray[np.float32],
+    ) -> None:
+        self._near = near
+        self._far = far
+        self.near_m = near_m
+        self._low = low
+        self._high = high
+        (x, y), (to_x, to_y) = low, high
+        self.corners = np.array([(x, y), (x, to_y), (to_x, y), (to_x, to_y)])
+
+    def away_m(self, x: float, y: float) -> float:
+        """Return the distance of a place from the bounds."""
+        here = np.array([x, y])
+        return float(np.hypot(*np.maximum(np.maximum(self._low - here, here - self._high), 0.0)))
+
+    def show(self, *, seen: bool, near: bool) -> None:
+        """Show one of the bodies, or neither."""
+        self._near.visibility = float(seen and near)
+        self._far.visibility = float(seen and not near)
 
 
 class SceneCamera:
@@ -148,8 +178,8 @@ class SceneCamera:
         if self._above is None:
             raise LookupError("this place has no overhead camera")
         self._put_robot(pose)
-        for tile, _ in self._tiles:
-            tile.visibility = 1.0
+        for tile in self._tiles:
+            tile.show(seen=True, near=True)
         self._scene.update_render()
         self._above.take_picture()
         # The scene no longer matches the image of the robot's own camera.
@@ -175,28 +205,29 @@ class SceneCamera:
         self._camera.take_picture()
         self._seen_from = pose, tilt
 
-    def _add_tiles(self, tiles: Sequence[Surface]) -> list[tuple[Any, NDArray[np.float32]]]:
-        """Add each tile as a body; return it with the corners (4, 2) of its bounds."""
+    def _add_tiles(self, tiles: Sequence[Tile]) -> list["_ShownTile"]:
         textures: dict[int, Any] = {}
         found = []
         for tile in each(tiles):
-            body = self._body([tile], STILL, textures)
-            self._add(body)
-            xy = tile.mesh.vertices[:, :2]
-            (x, y), (to_x, to_y) = xy.min(axis=0), xy.max(axis=0)
-            found.append((body, np.array([(x, y), (x, to_y), (to_x, y), (to_x, to_y)])))
+            near, far = (self._body([one], STILL, textures) for one in (tile.near, tile.far))
+            self._add(near)
+            self._add(far)
+            xy = tile.near.mesh.vertices[:, :2]
+            found.append(_ShownTile(near, far, tile.near_m, xy.min(axis=0), xy.max(axis=0)))
         return found
 
     def _hide_tiles(self, pose: Pose) -> None:
         """Hide the tiles behind the camera and beside its field of view."""
         x, y = pose.at(self._mount.ahead_m)
-        to_robot = np.array([[math.cos(pose.heading), -math.sin(pose.heading)],
-                             [math.sin(pose.heading), math.cos(pose.heading)]])  # fmt: skip
+        cos = math.cos(pose.heading)
+        sin = math.sin(pose.heading)
         slope = math.tan(math.radians(FIELD_OF_VIEW_DEG / 2 + _TILT_DEG))
-        for tile, corners in self._tiles:
-            ahead, left = ((corners - (x, y)) @ to_robot).T
+        for tile in self._tiles:
+            corners = tile.corners - (x, y)
+            ahead = corners @ (cos, sin)
+            left = corners @ (-sin, cos)
             beside = (left > slope * ahead).all() or (-left > slope * ahead).all()
-            tile.visibility = float(not (beside or (ahead < 0).all()))
+            tile.show(seen=not (beside or (ahead < 0).all()), near=tile.away_m(x, y) < tile.near_m)
 
     def _put_robot(self, pose: Pose) -> None:
         self._robot.set_pose(self._sapien.Pose((pose.x, pose.y, 0.0), _turn(pose.heading)))

@@ -13,12 +13,18 @@ from services.simulator.scene import bodies
 from services.simulator.scene.meshes import Mesh, make
 from services.simulator.scene.room import indoor_light
 from services.simulator.scene.sky import outdoor_light, sky_dome
-from services.simulator.scene.surfaces import SceneSurfaces, Surface, Vector, surfaces
+from services.simulator.scene.surfaces import SceneSurfaces, Surface, Tile, Vector, surfaces
 from services.simulator.variation import DAY, Daylight
 from services.simulator.world.scan import Scan
 
 # Side of the tiles, in clearances of the place.
 _TILE: Final = 12.0
+# Distance from which a tile has fewer triangles, and the cell in which their vertices merge, in
+# sides of a tile: two pixels of an image 320 pixels wide.
+_NEAR: Final = 1.5
+_COARSE: Final = _NEAR * 2 / 208
+# Number of chart cells along a picture: two points of one cell and one chart are near each other.
+_CHARTS: Final = 64
 # Half the width of a door: the floor farther from walls falls apart into rooms.
 _HALF_DOOR_M: Final = 0.55
 # Standard deviation of the brightness of each room's lamps and of their colour, of light that
@@ -45,19 +51,23 @@ def build(scan: Scan, light: Daylight) -> SceneSurfaces:
     )
 
 
-def _tiles(scan: Scan, light: Daylight) -> Iterator[Surface]:
+def _tiles(scan: Scan, light: Daylight) -> Iterator[Tile]:
     """Cut the parts into square tiles, with the light of the room that each lies in."""
     rooms = _Rooms(scan, light)
+    side_m = _TILE * scan.scale.clearance_m
     for part, picture in read_parts(scan.mesh):
         middles = part.vertices[part.triangles].mean(axis=1)
-        side_m = _TILE * scan.scale.clearance_m
         tiles, of = np.unique(np.floor(middles[:, :2] / side_m), axis=0, return_inverse=True)
         for number, tile in enumerate(tiles):
             mesh = _mesh(part, of.ravel() == number)
+            far = _coarse(mesh, _COARSE * side_m)
             tint = rooms.tint((tile + 0.5) * side_m)
-            yield Surface(mesh, picture, glows=True, tint=tint)
-            if part.both:
-                yield Surface(mesh.flipped(), picture, glows=True, tint=tint)
+            for inside_out in (False, True) if part.both else (False,):
+                near, away = (
+                    Surface(one.flipped() if inside_out else one, picture, glows=True, tint=tint)
+                    for one in (mesh, far)
+                )
+                yield Tile(near, away, _NEAR * side_m)
 
 
 def _mesh(part: Part, which: NDArray[np.bool_]) -> Mesh:
@@ -65,6 +75,37 @@ def _mesh(part: Part, which: NDArray[np.bool_]) -> Mesh:
     vertices = part.vertices[used]
     # Unlit surfaces need no normals.
     return make(vertices, np.zeros_like(vertices), part.uvs[used], triangles.reshape(-1, 3))
+
+
+def _coarse(mesh: Mesh, cell_m: float) -> Mesh:
+    """Merge the vertices in each cell (Rossignac and Borrel 1993).
+
+    Charts of the picture keep separate texture coordinates at a common position, so that no gap
+    opens between them.
+    """
+    cell = _numbers(np.floor(mesh.vertices / cell_m))
+    chart = _numbers(np.column_stack([cell, np.floor(mesh.uvs * _CHARTS)]))
+    _, first = np.unique(chart, return_index=True)
+    vertices = _means(mesh.vertices, cell)[cell[first]]
+    triangles = chart[mesh.triangles]
+    corners = cell[mesh.triangles]
+    solid = (corners != np.roll(corners, 1, axis=1)).all(axis=1)
+    if not solid.any():  # A fragment smaller than a cell.
+        return mesh
+    return make(vertices, np.zeros_like(vertices), _means(mesh.uvs, chart), triangles[solid])
+
+
+def _numbers(rows: NDArray[np.floating]) -> NDArray[np.int64]:
+    """Return a number for each row (n, k) of whole numbers, the same for equal rows."""
+    whole = (rows - rows.min(axis=0)).astype(np.int64)
+    codes = np.ravel_multi_index(whole.T, tuple(whole.max(axis=0) + 1))
+    return np.unique(codes, return_inverse=True)[1]
+
+
+def _means(values: NDArray[np.float32], group: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the mean value (m, k) of each group."""
+    sums = [np.bincount(group, weights=column) for column in values.T]
+    return np.column_stack(sums) / np.bincount(group)[:, None]
 
 
 class _Rooms:

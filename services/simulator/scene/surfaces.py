@@ -29,6 +29,14 @@ class Surface:
     tint: Vector = (1.0, 1.0, 1.0)
 
 
+class Tile(NamedTuple):
+    """A part of a large scene, drawn only in view, and from afar with fewer triangles."""
+
+    near: Surface
+    far: Surface
+    near_m: float  # Distance from which the far surface is drawn.
+
+
 class SceneSurfaces(NamedTuple):
     """All surfaces and lights of a scene."""
 
@@ -41,8 +49,7 @@ class SceneSurfaces(NamedTuple):
     # The robot about its own origin, x forward; empty without an overhead camera.
     robot: tuple[Surface, ...] = ()
     sky: Surface | None = None  # Dome that moves with the camera; None under a ceiling.
-    # Further static surfaces, each drawn only in view: large scans have too many triangles.
-    tiles: tuple[Surface, ...] = ()
+    tiles: tuple[Tile, ...] = ()  # Further static surfaces.
 
 
 class Finish(NamedTuple):

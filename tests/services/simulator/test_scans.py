@@ -183,6 +183,17 @@ def test_scan_looks_like_the_room(scanned: Path) -> None:
 
 
 @pytest.mark.rendering
+def test_far_parts_of_a_scan_look_the_same(scanned: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = load_world(scanned)
+    near = SceneCamera(world, CameraSettings(160, 120)).render(world.start)
+    monkeypatch.setattr("services.simulator.scene.scan._NEAR", 0.0)
+    camera = SceneCamera(world, CameraSettings(160, 120))
+    far = camera.render(world.start)
+    assert np.corrcoef(near.ravel(), far.ravel())[0, 1] > 0.95
+    assert not (camera._labels(world.start, LEVEL) == NOTHING).any()
+
+
+@pytest.mark.rendering
 def test_scan_of_vertex_colours_has_their_colours(tmp_path: Path) -> None:
     room = trimesh.creation.box((6.0, 5.0, 2.6))
     room.apply_translation((0.0, 0.0, 1.3))
