@@ -3,6 +3,7 @@
 Any simulator is a body here: `SteppedBody` needs its start, its step and its view.
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
@@ -166,8 +167,9 @@ class StepView:
     def more(self, header: Message, made: Collection[str] = ()) -> Iterator[Message]:
         """Yield the true pose, if known."""
         if self.pose is not None and TruePose.topic not in made:
-            x_m, y_m, heading_rad = self.pose
-            yield TruePose.after(header, x_m=x_m, y_m=y_m, heading_rad=heading_rad)
+            x_m, y_m, heading = map(float, self.pose)
+            within = math.remainder(heading, math.tau)
+            yield TruePose.after(header, x_m=x_m, y_m=y_m, heading_rad=within)
 
 
 class SteppedBody(ABC):

@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from schemas.base import Atom, Velocity
+from schemas.base import Atom, Message, Velocity
+from schemas.motion import TruePose
 from schemas.rpc import ResetRequest
 from services.cli.stack import free_endpoint
 from services.kit.node import ServiceError
@@ -90,6 +91,14 @@ def test_example_body_draws_walls_that_move_with_it(painted: SteppedBody) -> Non
     assert 10 <= shift <= 25
 
 
+def test_view_publishes_a_heading_of_many_turns() -> None:
+    view = StepView(np.zeros((24, 32, 3), dtype=np.uint8), pose=(1.0, 2.0, 7 * np.pi + 0.1))
+    header = Message(robot="r", episode="e", tick=0, stamp_ns=0)
+    (pose,) = view.more(header)
+    assert isinstance(pose, TruePose)
+    assert pose.heading_rad == pytest.approx(0.1 - np.pi)
+
+
 @pytest.mark.parametrize(
     "wish",
     [
@@ -160,7 +169,8 @@ def test_stack_drives_and_records_the_example(tmp_path: Path) -> None:
         assert refused.returncode == 1
         found = run_smal("run", *model, "--json", tmp_path / "runs.json")
         assert found.returncode == 0, found.stderr
-    assert json.loads((tmp_path / "runs.json").read_text())["outcomes"] == {"found": 1}
+    (run,) = json.loads((tmp_path / "runs.json").read_text())["episodes"]
+    assert run["outcome"] == "found"
 
 
 class Corridor(gymnasium.Env[dict[str, NDArray[np.uint8]], np.int64]):
