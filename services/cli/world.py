@@ -28,7 +28,7 @@ from services.simulator.world import Pose, World, WorldError, load_foreign_world
 from services.simulator.world.loading import Task, Wishes, bounded, import_map
 from services.simulator.world.osm import MapSurroundings
 from services.simulator.world.route import lane_graph, plan_route, route_length_m
-from services.simulator.world.scan import MESH_SUFFIX, is_scan, scan_text
+from services.simulator.world.scan import MESH_SUFFIX, Axis, RobotName, is_scan, scan_text
 from services.simulator.world.terrain import Terrain
 from smal.files.confined import ConfinedError, Work
 from smal.files.container import write_whole
@@ -82,11 +82,11 @@ def import_world(
             min=1e-6, max=1e3, metavar="M", help="Length of a unit of a scan in metres (0.01 = cm)."
         ),
     ] = None,
-    up: Annotated[str | None, Option(help="Up axis of a scan: x, y, z, -x, -y or -z.")] = None,
+    up: Annotated[Axis | None, Option(help="Up axis of a scan.")] = None,
     floor: Annotated[
         float | None, Option(metavar="M", help="Height of the floor in a scan with several floors.")
     ] = None,
-    robot: Annotated[str | None, Option(help="Robot for a scan: turtlebot or rescuebot.")] = None,
+    robot: Annotated[RobotName | None, Option(help="Robot for a scan.")] = None,
     step: Annotated[
         float | None,
         Option(min=0.01, max=1.0, metavar="M", help="Step in a scan that the robot can climb."),

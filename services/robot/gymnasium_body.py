@@ -1,7 +1,8 @@
 """Any Gymnasium environment with an image observation as a body of the stack."""
 
+import math
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -11,8 +12,6 @@ from schemas.rpc import ResetRequest
 from services.kit.node import ServiceError
 from services.robot.body import Beginning, Kinematics
 from services.robot.lockstep import SteppedBody, StepView
-
-_SEEDS: Final = 2**31  # Number of seeds of an environment.
 
 
 class GymnasiumBody(SteppedBody):
@@ -50,7 +49,7 @@ class GymnasiumBody(SteppedBody):
 
     def start(self, request: ResetRequest) -> Beginning:
         """Reset the environment with the seed of the request."""
-        observation, info = self._env.reset(seed=request.seed % _SEEDS)
+        observation, info = self._env.reset(seed=request.seed % 2**31)
         self._owed = np.zeros(2)
         self._now = self._seen(observation, info)
         return Beginning()
@@ -59,8 +58,8 @@ class GymnasiumBody(SteppedBody):
         """Take one step; an environment that has ended stays as it is."""
         if not (self._now.reached or self._now.contact):
             observation, reward, ended, _, info = self._env.step(self._act(velocity))
-            found = ended and float(reward) > 0
-            self._now = self._seen(observation, info, ended and not found, found)
+            end = math.copysign(1.0, float(reward) - 1e-9) if ended else 0.0
+            self._now = self._seen(observation, info, end)
 
     def _nearest(self, velocity: Velocity) -> Atom:
         """Return the nearest atom; the difference is added to the next velocity."""
@@ -69,11 +68,11 @@ class GymnasiumBody(SteppedBody):
         self._owed = self._owed - KEYS[atom]
         return atom
 
-    def _seen(self, observation: object, info: dict[str, Any], *ends: bool) -> StepView:
+    def _seen(self, observation: object, info: dict[str, Any], end: float = 0.0) -> StepView:
         image = np.asarray(observation if self._key is None else observation[self._key])  # type: ignore[index]
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
             raise ServiceError(f"{self.name}: {image.dtype} {image.shape} is not an RGB image")
-        return StepView(image, *ends[:2], pose=info.get("pose"))
+        return StepView(image, end < 0, end > 0, pose=info.get("pose"))
 
     def observe(self) -> StepView:
         """Return the view after the last step."""

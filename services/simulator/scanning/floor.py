@@ -35,6 +35,8 @@ _MOST_SAMPLES: Final = 60_000_000
 _FACES_UP: Final = 0.6
 # Gaps in the floor up to this many cells wide are closed.
 _GAP: Final = 4
+# Largest distance from the median of the surfaces, in cells; farther specks are outliers.
+_FARTHEST: Final = 2500
 _MARGIN: Final = 2 * _GAP  # Free cells around a scan.
 # Cells (rows, columns) to which the robot drives: one gap of a cell is bridged.
 _NEIGHBOURS: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2))
@@ -110,6 +112,10 @@ class _Columns:
         self._top = math.ceil(robot.top_m / self._cell_height_m)
         size_m = np.array([self._cell_m, self._cell_m, self._cell_height_m])
         points, faces_up = self._samples()
+        off = np.abs(points[:, :2] - np.median(points[:, :2], axis=0)).max(axis=1)
+        near = off < _FARTHEST * self._cell_m
+        points = points[near]
+        faces_up = faces_up[near]
         self._low = points.min(axis=0) - _MARGIN * size_m
         cells = ((points - self._low) / size_m).astype(np.int64)
         # Room above the highest cell, so that a search for the robot's height stays in its column.

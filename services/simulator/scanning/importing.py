@@ -11,7 +11,7 @@ from services.simulator.scanning.floor import FoundFloor, find_floor
 from services.simulator.scanning.mesh_file import Part
 from services.simulator.scanning.reading import Scanned, read_scan
 from services.simulator.world.loading import Task, check_task, naming, turned_ahead
-from services.simulator.world.place import World, WorldError
+from services.simulator.world.place import Pose, World, WorldError
 from services.simulator.world.route import plan_route, route_length_m
 from services.simulator.world.scan import RobotName, Scan, scan_of
 from services.simulator.world.task import choose_roles
@@ -54,14 +54,22 @@ def import_scan(source: Path, wishes: ScanWishes) -> ImportedScan:
         robot, found = _floor(scanned, wishes)
         place = scan_of(robot, found.area, list(found.walls.geoms), sky=found.roofed < _ROOFED)
         task = wishes.task
-        try:
-            roles = choose_roles(place, task.start, task.victim, task.seed)
-        except WorldError:  # In one room every place is in view.
-            roles = choose_roles(place, task.start, task.victim, task.seed, hidden=False)
+        roles = _roles(place, task)
         world = turned_ahead(World(place, *roles), task)
         check_task(world)
     summary = (*scanned.notes, *_summary(world, place, found, scanned))
     return ImportedScan(world, found.parts, summary)
+
+
+def _roles(place: Scan, task: Task) -> tuple[Pose, Pose]:
+    """Choose start and victim, in one room in view of each other."""
+    for hidden in (True, False):
+        with suppress(WorldError):
+            return choose_roles(place, task.start, task.victim, task.seed, hidden=hidden)
+    raise WorldError(
+        f"no way for the {place.robot_name} on {place.floor.footprint.area:.1f} m2 of floor; "
+        "give --from and --to, or another --robot"
+    )
 
 
 def _floor(scanned: Scanned, wishes: ScanWishes) -> tuple[RobotName, FoundFloor]:

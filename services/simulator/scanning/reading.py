@@ -30,7 +30,6 @@ _ROTATIONS: Final = {
     "y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)), "-y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
     "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)), "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
 }  # fmt: skip
-AXES: Final = tuple(_ROTATIONS)
 # Height of a storey from the floor to the ceiling. Only one unit puts a value in this range.
 _STOREY_M: Final = (2.0, 4.5)
 # glTF files are in metres by their standard, unless a storey is lower or higher than this.
@@ -93,13 +92,16 @@ def read_scan(source: Path, scale: float | None = None, up: str | None = None) -
             "it has no triangles; a scan must be a mesh (a point cloud is unsupported)"
         )
     areas = np.array([mesh.area for mesh, _ in meshes])
-    paints = [_paint(mesh) for mesh, _ in meshes]
-    shrink, notes = _shrink([paint.picture for paint in paints])
-    jpegs = _Jpegs(shrink)
-    parts = [
-        Part(*_corners(mesh, paint), jpegs.of(paint.picture), both)
-        for (mesh, both), paint in zip(meshes, paints, strict=True)
-    ]
+    try:
+        paints = [_paint(mesh) for mesh, _ in meshes]
+        divisor, notes = _shrink([paint.picture for paint in paints])
+        jpegs = _Jpegs(divisor)
+        parts = [
+            Part(*_corners(mesh, paint), jpegs.of(paint.picture), both)
+            for (mesh, both), paint in zip(meshes, paints, strict=True)
+        ]
+    except (OSError, SyntaxError, ValueError) as error:  # As Pillow raises them.
+        raise WorldError(f"a picture is damaged ({error})") from None
     standing, axis = _upright(parts, up, usual="y" if kind in {"glb", "gltf"} else None)
     sized, unit = _to_metres(standing, scale, metric=kind in {"glb", "gltf"})
     plain = float(areas[[not paint.textured for paint in paints]].sum() / areas.sum())
@@ -170,7 +172,7 @@ def _paint(mesh: trimesh.Trimesh) -> _Paint:
         white = Image.new("RGB", image.size, tuple(int(value) for value in factor[:3]))
         image = ImageChops.multiply(image, white)
     # trimesh counts v upwards.
-    downwards = np.asarray(uvs, dtype=np.float32)[mesh.faces] * (1, -1) + (0, 1)
+    downwards = np.nan_to_num(np.asarray(uvs, dtype=np.float32)[mesh.faces]) * (1, -1) + (0, 1)
     return _Paint(image, downwards.astype(np.float32), textured=True)
 
 

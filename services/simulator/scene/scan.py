@@ -14,6 +14,7 @@ from services.simulator.scene.meshes import Mesh, make
 from services.simulator.scene.room import indoor_light
 from services.simulator.scene.sky import outdoor_light, sky_dome
 from services.simulator.scene.surfaces import SceneSurfaces, Surface, Tile, Vector, surfaces
+from services.simulator.scene.textures import Picture
 from services.simulator.variation import DAY, Daylight
 from services.simulator.world.scan import Scan
 
@@ -59,15 +60,17 @@ def _tiles(scan: Scan, light: Daylight) -> Iterator[Tile]:
         middles = part.vertices[part.triangles].mean(axis=1)
         tiles, of = np.unique(np.floor(middles[:, :2] / side_m), axis=0, return_inverse=True)
         for number, tile in enumerate(tiles):
-            mesh = _mesh(part, of.ravel() == number)
-            far = _coarse(mesh, _COARSE * side_m)
             tint = rooms.tint((tile + 0.5) * side_m)
-            for inside_out in (False, True) if part.both else (False,):
-                near, away = (
-                    Surface(one.flipped() if inside_out else one, picture, glows=True, tint=tint)
-                    for one in (mesh, far)
-                )
-                yield Tile(near, away, _NEAR * side_m)
+            mesh = _mesh(part, of.ravel() == number)
+            yield _tile(mesh, picture, tint, side_m)
+            if part.both:
+                yield _tile(mesh.flipped(), picture, tint, side_m)
+
+
+def _tile(mesh: Mesh, picture: Picture, tint: Vector, side_m: float) -> Tile:
+    far = _coarse(mesh, _COARSE * side_m)
+    near, away = (Surface(one, picture, glows=True, tint=tint) for one in (mesh, far))
+    return Tile(near, away, _NEAR * side_m)
 
 
 def _mesh(part: Part, which: NDArray[np.bool_]) -> Mesh:

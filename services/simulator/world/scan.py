@@ -41,6 +41,7 @@ SUFFIXES: Final = (".glb", ".gltf", ".obj", ".ply")
 MESH_SUFFIX: Final = ".npz"
 # First bytes of the formats that hold everything in one file.
 _MAGIC: Final = (b"glTF", b"ply\n", b"ply\r")
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 RobotName = Literal["rescuebot", "turtlebot"]
 # Width of the solid border around the floor.
 _BORDER_M: Final = 0.5

@@ -156,6 +156,20 @@ def test_scan_of_a_slope_is_laid_level(tmp_path: Path) -> None:
     assert not obstacles_of(place).in_sight(sight)[0]
 
 
+def test_far_specks_do_not_change_a_scan(tmp_path: Path, scanned: Path) -> None:
+    scene = laboratory()
+    speck = trimesh.creation.box((0.05, 0.05, 0.05))
+    speck.apply_translation((30_000.0, 2.0, 8_000.0))
+    scene.add_geometry(speck)
+    scene.export(tmp_path / "specks.glb")
+    place = import_scan(tmp_path / "specks.glb", ScanWishes(TASK)).world.place
+    plain = load_world(scanned).place
+    assert isinstance(place, Scan)
+    assert isinstance(plain, Scan)
+    difference = place.floor.footprint.symmetric_difference(plain.floor.footprint)
+    assert difference.area < 0.02 * plain.floor.footprint.area
+
+
 def test_scan_without_a_task_gets_a_long_hidden_one(tmp_path: Path) -> None:
     laboratory().export(tmp_path / "lab.glb")
     world = import_scan(tmp_path / "lab.glb", ScanWishes()).world
@@ -249,18 +263,23 @@ def test_textures_beyond_the_limit_are_reduced(
     assert sum(4 * 4 / 3 * one.size / 3 for one in pictures.values()) <= 4 << 20
 
 
+NAMES = ("cut.glb", "empty.ply", "text.obj", "cloud.ply", "picture.glb")
+
+
 def broken(folder: Path) -> dict[str, Path]:
     scene = laboratory()
     whole = scene.export(file_type="glb")
-    files = {name: folder / name for name in ("cut.glb", "empty.ply", "text.obj", "cloud.ply")}
+    files = {name: folder / name for name in NAMES}
     files["cut.glb"].write_bytes(whole[: len(whole) // 2])
     files["empty.ply"].write_bytes(b"")
+    picture = whole.index(b"\x89PNG")
+    files["picture.glb"].write_bytes(whole[: picture + 700] + bytes(5000) + whole[picture + 5700 :])
     files["text.obj"].write_text("nothing here\n")
     trimesh.PointCloud(np.random.default_rng(0).random((50, 3))).export(files["cloud.ply"])
     return files
 
 
-@pytest.mark.parametrize("name", ["cut.glb", "empty.ply", "text.obj", "cloud.ply"])
+@pytest.mark.parametrize("name", NAMES)
 def test_broken_scan_gives_one_line(tmp_path: Path, name: str) -> None:
     path = broken(tmp_path)[name]
     with pytest.raises(WorldError) as error:
