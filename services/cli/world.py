@@ -25,7 +25,7 @@ from services.experiments.words import counted, table
 from services.kit.errors import UsageError
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.world import Pose, World, WorldError, load_foreign_world
-from services.simulator.world.loading import Task, Wishes, bounded, import_map
+from services.simulator.world.loading import RoleWishes, Wishes, bounded, import_map
 from services.simulator.world.osm import MapSurroundings
 from services.simulator.world.route import lane_graph, plan_route, route_length_m
 from services.simulator.world.scan import MESH_SUFFIX, Axis, RobotName, is_scan, scan_text
@@ -116,7 +116,7 @@ def import_world(
         raise UsageError(f"--out {out}: unsupported; the file name must end in .json")
     outputs.check_file(out, "--out")
     wanted = "X,Y or X,Y,HEADING_DEG"
-    task = Task(
+    task = RoleWishes(
         start=_pose("--start", start, wanted),
         victim=_pose("--victim", victim, wanted),
         ahead=start is not None and start.count(",") == 1,
@@ -155,7 +155,7 @@ def _refuse(kind: str, values: Mapping[str, object]) -> None:
             raise UsageError(f"{option}: unsupported for {kind}; leave it out")
 
 
-def _scan_wishes(task: Task, *choices: float | str | None) -> dict[str, Any]:
+def _scan_wishes(task: RoleWishes, *choices: float | str | None) -> dict[str, Any]:
     names = ("scale", "up", "floor_m", "robot", "climb_m")
     return {"task": asdict(task)} | dict(zip(names, choices, strict=True))
 

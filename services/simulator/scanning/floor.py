@@ -20,7 +20,7 @@ from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from services.simulator.robots import RobotModel
-from services.simulator.scanning.mesh_file import Part
+from services.simulator.scanning.mesh_file import ScanPart
 from services.simulator.world.place import WorldError, polygons
 
 # Width of a cell in radii of the robot, and number of cells in its climbable step.
@@ -57,7 +57,7 @@ Cells = NDArray[np.int64]
 class FoundFloor:
     """A floor, metres of the scan laid level; x and y count from its south-west corner."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[ScanPart, ...]
     area: Polygon  # Area that the robot's body can cover.
     walls: MultiPolygon  # Solid cells at the height of the robot's camera.
     height_m: float  # Mean height in the scan.
@@ -68,7 +68,7 @@ class FoundFloor:
 
 
 def find_floor(
-    parts: Sequence[Part], robot: RobotModel, height_m: float | None = None
+    parts: Sequence[ScanPart], robot: RobotModel, height_m: float | None = None
 ) -> FoundFloor:
     """Find the largest connected floor for a robot, or the floor nearest to a height.
 
@@ -104,7 +104,7 @@ class _Storey:
 class _Columns:
     """Occupied cells of a scan; the code of a cell counts through its column first."""
 
-    def __init__(self, parts: Sequence[Part], robot: RobotModel) -> None:
+    def __init__(self, parts: Sequence[ScanPart], robot: RobotModel) -> None:
         self._parts = parts
         self._robot = robot
         self._cell_m = _CELL * robot.radius_m
@@ -247,7 +247,7 @@ class _Columns:
         whole = shapely.union_all(shapely.box(row, begin, row + 1, end)).simplify(1.0)
         return shapely.transform(whole, lambda xy: self._low[:2] + xy * self._cell_m)
 
-    def _level(self, floor_m: NDArray[np.float64], corner: NDArray[np.float64]) -> list[Part]:
+    def _level(self, floor_m: NDArray[np.float64], corner: NDArray[np.float64]) -> list[ScanPart]:
         """Return the parts with the floor at height 0: verticals and the plan stay."""
         smooth = ndimage.gaussian_filter(floor_m, _SMOOTH_M / self._cell_m, mode="nearest")
         found = []

@@ -8,12 +8,12 @@ from typing import Final
 
 from services.simulator.robots import ROBOTS, RobotModel
 from services.simulator.scanning.floor import FoundFloor, find_floor
-from services.simulator.scanning.mesh_file import Part
+from services.simulator.scanning.mesh_file import ScanPart
 from services.simulator.scanning.reading import Scanned, read_scan
-from services.simulator.world.loading import Task, check_task, naming, turned_ahead
+from services.simulator.world.loading import RoleWishes, check_task, naming, turned_ahead
 from services.simulator.world.place import Pose, World, WorldError
 from services.simulator.world.route import plan_route, route_length_m
-from services.simulator.world.scan import RobotName, Scan, scan_of
+from services.simulator.world.scan import RobotName, ScannedPlace, scan_of
 from services.simulator.world.task import choose_roles
 
 # Places under the sky of this area and more get the large robot.
@@ -30,7 +30,7 @@ class ScanWishes:
     scan. `climb_m` is the height of the steps that the robot can climb.
     """
 
-    task: Task = field(default_factory=Task)
+    task: RoleWishes = field(default_factory=RoleWishes)
     scale: float | None = None
     up: str | None = None
     floor_m: float | None = None
@@ -43,7 +43,7 @@ class ImportedScan:
     """A world with its meshes, and a summary as names and values."""
 
     world: World
-    parts: tuple[Part, ...]
+    parts: tuple[ScanPart, ...]
     summary: tuple[tuple[str, str], ...]
 
 
@@ -61,7 +61,7 @@ def import_scan(source: Path, wishes: ScanWishes) -> ImportedScan:
     return ImportedScan(world, found.parts, summary)
 
 
-def _roles(place: Scan, task: Task) -> tuple[Pose, Pose]:
+def _roles(place: ScannedPlace, task: RoleWishes) -> tuple[Pose, Pose]:
     """Choose start and victim, in one room in view of each other."""
     for hidden in (True, False):
         with suppress(WorldError):
@@ -93,7 +93,7 @@ def _climbing(name: RobotName, wishes: ScanWishes) -> RobotModel:
 
 
 def _summary(
-    world: World, place: Scan, found: FoundFloor, scanned: Scanned
+    world: World, place: ScannedPlace, found: FoundFloor, scanned: Scanned
 ) -> Iterator[tuple[str, str]]:
     robot = place.robot
     yield "place", f"{'outdoors' if place.sky else 'indoors'} ({found.roofed:.0%} under a roof)"

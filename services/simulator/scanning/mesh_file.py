@@ -14,7 +14,7 @@ from services.simulator.world.place import WorldError
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ScanPart:
     """Triangles of one picture, metres, z up.
 
     Attributes
@@ -37,7 +37,7 @@ class Part:
     both: bool = True
 
 
-def write_parts(file: IO[bytes], parts: Iterable[Part]) -> None:
+def write_parts(file: IO[bytes], parts: Iterable[ScanPart]) -> None:
     """Write the parts; equal pictures are stored once."""
     pictures: dict[bytes, int] = {}
     arrays: dict[str, NDArray[np.generic]] = {}
@@ -52,7 +52,7 @@ def write_parts(file: IO[bytes], parts: Iterable[Part]) -> None:
     np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
-def read_parts(path: Path) -> list[tuple[Part, NDArray[np.uint8]]]:
+def read_parts(path: Path) -> list[tuple[ScanPart, NDArray[np.uint8]]]:
     """Read the parts, each with its picture (h, w, 3) RGB; parts share equal pictures.
 
     Raises
@@ -81,7 +81,7 @@ def _decoded(jpeg: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def _part(
     file: "np.lib.npyio.NpzFile", number: int, pictures: dict[str, NDArray[np.uint8]]
-) -> tuple[Part, NDArray[np.uint8]]:
+) -> tuple[ScanPart, NDArray[np.uint8]]:
     vertices, uvs, triangles = (
         file[f"{name}_{number}"] for name in ("vertices", "uvs", "triangles")
     )
@@ -90,5 +90,5 @@ def _part(
     # The renderer does not check indices.
     if not fits or triangles.shape[1:] != (3,) or triangles.max(initial=0) >= len(vertices):
         raise ValueError(f"part {number} is invalid")
-    part = Part(vertices, uvs, triangles.astype(np.uint32), b"", bool(both))
+    part = ScanPart(vertices, uvs, triangles.astype(np.uint32), b"", bool(both))
     return part, pictures[f"picture_{picture}"]

@@ -18,7 +18,7 @@ from trimesh.visual import ColorVisuals
 from trimesh.visual.material import Material
 
 from schemas.codec import printable
-from services.simulator.scanning.mesh_file import Part
+from services.simulator.scanning.mesh_file import ScanPart
 from services.simulator.world.place import WorldError
 from services.simulator.world.scan import SUFFIXES
 
@@ -64,7 +64,7 @@ class Scanned:
     and warnings, by their name.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[ScanPart, ...]
     untextured: float
     notes: tuple[tuple[str, str], ...]
 
@@ -86,26 +86,32 @@ def read_scan(source: Path, scale: float | None = None, up: str | None = None) -
         The file is not a usable mesh.
     """
     kind = _kind(source)
+    try:
+        parts, untextured, notes = _parts(source, kind)
+    except (OSError, SyntaxError, ValueError) as error:  # As Pillow raises them.
+        raise WorldError(f"its content is damaged ({error})") from None
+    standing, axis = _upright(parts, up, usual="y" if kind in {"glb", "gltf"} else None)
+    sized, unit = _to_metres(standing, scale, metric=kind in {"glb", "gltf"})
+    return Scanned(tuple(sized), untextured, (axis, unit, *notes))
+
+
+def _parts(source: Path, kind: str) -> tuple[list[ScanPart], float, list[tuple[str, str]]]:
+    """Return the parts as in the file, the untextured share of their area, and warnings."""
     meshes = list(_meshes(source, kind))
     if not meshes:
         raise WorldError(
             "it has no triangles; a scan must be a mesh (a point cloud is unsupported)"
         )
+    paints = [_paint(mesh) for mesh, _ in meshes]
+    divisor, notes = _shrink([paint.picture for paint in paints])
+    jpegs = _Jpegs(divisor)
+    parts = [
+        ScanPart(*_corners(mesh, paint), jpegs.of(paint.picture), both)
+        for (mesh, both), paint in zip(meshes, paints, strict=True)
+    ]
     areas = np.array([mesh.area for mesh, _ in meshes])
-    try:
-        paints = [_paint(mesh) for mesh, _ in meshes]
-        divisor, notes = _shrink([paint.picture for paint in paints])
-        jpegs = _Jpegs(divisor)
-        parts = [
-            Part(*_corners(mesh, paint), jpegs.of(paint.picture), both)
-            for (mesh, both), paint in zip(meshes, paints, strict=True)
-        ]
-    except (OSError, SyntaxError, ValueError) as error:  # As Pillow raises them.
-        raise WorldError(f"a picture is damaged ({error})") from None
-    standing, axis = _upright(parts, up, usual="y" if kind in {"glb", "gltf"} else None)
-    sized, unit = _to_metres(standing, scale, metric=kind in {"glb", "gltf"})
-    plain = float(areas[[not paint.textured for paint in paints]].sum() / areas.sum())
-    return Scanned(tuple(sized), plain, (axis, unit, *notes))
+    plain = [not paint.textured for paint in paints]
+    return parts, float(areas[plain].sum() / areas.sum()), notes
 
 
 def _kind(source: Path) -> str:
@@ -258,8 +264,8 @@ class _Jpegs:
 
 
 def _upright(
-    parts: list[Part], wish: str | None, usual: str | None
-) -> tuple[list[Part], tuple[str, str]]:
+    parts: list[ScanPart], wish: str | None, usual: str | None
+) -> tuple[list[ScanPart], tuple[str, str]]:
     """Turn the parts so that z is up, along the axis of the largest level surface."""
     area = {axis: _largest_level(parts, axis) for axis in ("y", "z")}
     best = max(area, key=lambda axis: area[axis])
@@ -272,7 +278,9 @@ def _upright(
     return turned, ("up axis", f"{axis} ({how})")
 
 
-def _levels(parts: Sequence[Part], axis: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _levels(
+    parts: Sequence[ScanPart], axis: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the area of level surfaces by height along an axis, and the heights."""
     height = "xyz".index(axis[-1])
     corners = np.concatenate([part.vertices[part.triangles] for part in parts])
@@ -290,11 +298,11 @@ def _levels(parts: Sequence[Part], axis: str) -> tuple[NDArray[np.float64], NDAr
     return counts, (edges[:-1] + edges[1:]) / 2
 
 
-def _largest_level(parts: Sequence[Part], axis: str) -> float:
+def _largest_level(parts: Sequence[ScanPart], axis: str) -> float:
     return float(_levels(parts, axis)[0].max())
 
 
-def _storey(parts: Sequence[Part]) -> float | None:
+def _storey(parts: Sequence[ScanPart]) -> float | None:
     """Return the height from the lowest large level surface to the next, in units of the file."""
     counts, heights = _levels(parts, "z")
     smooth = np.convolve(np.pad(counts, 2), (0.5, 1.0, 1.0, 1.0, 0.5), mode="same")
@@ -305,8 +313,8 @@ def _storey(parts: Sequence[Part]) -> float | None:
 
 
 def _to_metres(
-    parts: list[Part], wish: float | None, *, metric: bool
-) -> tuple[list[Part], tuple[str, str]]:
+    parts: list[ScanPart], wish: float | None, *, metric: bool
+) -> tuple[list[ScanPart], tuple[str, str]]:
     """Scale the parts to metres, by the height of a storey or else by the extent."""
     storey = _storey(parts)
     corners = np.concatenate([part.vertices for part in parts])

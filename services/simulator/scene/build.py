@@ -16,7 +16,7 @@ from services.simulator.scene.surfaces import Finish, Piece, SceneSurfaces, surf
 from services.simulator.variation import Daylight
 from services.simulator.world.place import World
 from services.simulator.world.room import Room
-from services.simulator.world.scan import Scan
+from services.simulator.world.scan import ScannedPlace
 from services.simulator.world.terrain import Terrain, Tree, TreeKind
 
 #: For each kind: radius of the crown, and height of its lower end, as fractions of the tree height.
@@ -41,7 +41,7 @@ def build_scene(world: World, light: Daylight) -> SceneSurfaces:
     terrain = world.place
     if isinstance(terrain, Room):
         return room.build(terrain, light)
-    if isinstance(terrain, Scan):
+    if isinstance(terrain, ScannedPlace):
         return scan.build(terrain, light)
     if not isinstance(terrain, Terrain):
         raise TypeError(f"unsupported place: {type(terrain).__name__}")

@@ -1,5 +1,6 @@
 """The robot's camera and the overhead camera, rendered by SAPIEN."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from functools import lru_cache
@@ -72,8 +73,8 @@ class _ShownTile:
         self.near_m = near_m
         self._low = low
         self._high = high
-        (x, y), (to_x, to_y) = low, high
-        self.corners = np.array([(x, y), (x, to_y), (to_x, y), (to_x, to_y)])
+        east_west, north_south = np.column_stack([low, high])
+        self.corners = np.array(list(itertools.product(east_west, north_south)))
 
     def away_m(self, x: float, y: float) -> float:
         """Return the distance of a place from the bounds."""

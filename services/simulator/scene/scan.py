@@ -8,7 +8,7 @@ import shapely
 from numpy.typing import NDArray
 
 from services.simulator.robots import TURTLEBOT
-from services.simulator.scanning.mesh_file import Part, read_parts
+from services.simulator.scanning.mesh_file import ScanPart, read_parts
 from services.simulator.scene import bodies
 from services.simulator.scene.meshes import Mesh, make
 from services.simulator.scene.room import indoor_light
@@ -16,7 +16,7 @@ from services.simulator.scene.sky import outdoor_light, sky_dome
 from services.simulator.scene.surfaces import SceneSurfaces, Surface, Tile, Vector, surfaces
 from services.simulator.scene.textures import Picture
 from services.simulator.variation import DAY, Daylight
-from services.simulator.world.scan import Scan
+from services.simulator.world.scan import ScannedPlace
 
 # Side of the tiles, in clearances of the place.
 _TILE: Final = 12.0
@@ -35,7 +35,7 @@ _COLOUR: Final = 0.06
 _GAMMA: Final = 2.2  # Of the shader: pictures are gamma-encoded.
 
 
-def build(scan: Scan, light: Daylight) -> SceneSurfaces:
+def build(scan: ScannedPlace, light: Daylight) -> SceneSurfaces:
     """Build the tiles of a scan; raises WorldError for a damaged mesh file."""
     victim, decoys = (
         ("nao", bodies.INDOOR_DECOYS)
@@ -52,7 +52,7 @@ def build(scan: Scan, light: Daylight) -> SceneSurfaces:
     )
 
 
-def _tiles(scan: Scan, light: Daylight) -> Iterator[Tile]:
+def _tiles(scan: ScannedPlace, light: Daylight) -> Iterator[Tile]:
     """Cut the parts into square tiles, with the light of the room that each lies in."""
     rooms = _Rooms(scan, light)
     side_m = _TILE * scan.scale.clearance_m
@@ -73,7 +73,7 @@ def _tile(mesh: Mesh, picture: Picture, tint: Vector, side_m: float) -> Tile:
     return Tile(near, away, _NEAR * side_m)
 
 
-def _mesh(part: Part, which: NDArray[np.bool_]) -> Mesh:
+def _mesh(part: ScanPart, which: NDArray[np.bool_]) -> Mesh:
     used, triangles = np.unique(part.triangles[which], return_inverse=True)
     vertices = part.vertices[used]
     # Unlit surfaces need no normals.
@@ -114,7 +114,7 @@ def _means(values: NDArray[np.float32], group: NDArray[np.int64]) -> NDArray[np.
 class _Rooms:
     """Light of each room, relative to the light of the scan."""
 
-    def __init__(self, scan: Scan, light: Daylight) -> None:
+    def __init__(self, scan: ScannedPlace, light: Daylight) -> None:
         cores = shapely.get_parts(scan.floor.footprint.buffer(-_HALF_DOOR_M))
         self._tree = shapely.STRtree(cores if len(cores) else [scan.floor.footprint])
         count = len(self._tree.geometries)
@@ -133,7 +133,7 @@ class _Rooms:
         return red, green, blue
 
 
-def _brightness(light: Daylight, scan: Scan) -> Vector:
+def _brightness(light: Daylight, scan: ScannedPlace) -> Vector:
     """Return the light on a level surface."""
     if not scan.sky:
         return light.lamps

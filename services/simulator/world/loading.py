@@ -41,7 +41,7 @@ _ON_ROUTE_M: Final = 0.03
 
 
 @dataclass(frozen=True)
-class Task:
+class RoleWishes:
     """Start and victim by hand, in metres of the world; None for the rule."""
 
     start: Pose | None = None
@@ -54,7 +54,7 @@ class Task:
 class Wishes:
     """Task and extent that a user requests for a map."""
 
-    task: Task = field(default_factory=Task)  # The map's tags come before the rule.
+    task: RoleWishes = field(default_factory=RoleWishes)  # The map's tags come before the rule.
     around: MapSurroundings | None = None  # Part of the map to read; None for the whole map.
 
 
@@ -210,7 +210,7 @@ def naming(path: Path) -> Iterator[None]:
         raise WorldError(f"{path}: {error}") from None
 
 
-def turned_ahead(world: World, task: Task) -> World:
+def turned_ahead(world: World, task: RoleWishes) -> World:
     """Turn the start along the route if the task requests it."""
     if not task.ahead:
         return world

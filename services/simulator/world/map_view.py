@@ -13,7 +13,7 @@ from shapely import LineString
 from services.simulator.world.furniture import FurnitureKind
 from services.simulator.world.place import World
 from services.simulator.world.room import FittingKind, Room
-from services.simulator.world.scan import Scan
+from services.simulator.world.scan import ScannedPlace
 from services.simulator.world.terrain import AreaKind, BarrierKind, RoadKind, Terrain
 
 _GROUND: Final = "#e7ecdd"
@@ -48,7 +48,7 @@ def draw_map(world: World, ax: Axes) -> None:
         _draw_room(world.place, ax)
     elif isinstance(world.place, Terrain):
         _draw_terrain(world.place, ax)
-    elif isinstance(world.place, Scan):
+    elif isinstance(world.place, ScannedPlace):
         _draw_scan(world.place, ax)
     arrow = 0.03 * (x_max - x_min)
     start = world.start
@@ -88,7 +88,7 @@ def _draw_terrain(terrain: Terrain, ax: Axes) -> None:
     )
 
 
-def _draw_scan(scan: Scan, ax: Axes) -> None:
+def _draw_scan(scan: ScannedPlace, ax: Axes) -> None:
     ax.set_facecolor("#c9c4ba")
     _fill(ax, scan.floor.footprint, "#f6f3ec", edge="#7d6f60", order=0.5)
     for wall in scan.walls:

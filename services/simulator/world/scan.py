@@ -58,7 +58,7 @@ _WALL_M: Final = 1.0  # Length of the pieces of walls that a victim can stand be
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
-class Scan:
+class ScannedPlace:
     """A scanned place."""
 
     name: str = ""
@@ -121,7 +121,7 @@ class Scan:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
-class ScanFile(Scan):
+class ScanFile(ScannedPlace):
     """A scan with a task, the content of a scan file."""
 
     format: Literal["smal.scan/1"]
@@ -146,10 +146,12 @@ def is_scan(source: Path) -> bool:
         return file.read(4) in _MAGIC
 
 
-def scan_of(robot_name: RobotName, area: Polygon, walls: list[Polygon], *, sky: bool) -> Scan:
+def scan_of(
+    robot_name: RobotName, area: Polygon, walls: list[Polygon], *, sky: bool
+) -> ScannedPlace:
     """Return a scan of outlines, rounded to millimetres."""
     (floor,) = _rounded([max(polygons(_on_grid(area)), key=lambda one: one.area)])
-    return Scan(robot_name=robot_name, sky=sky, floor=floor, walls=tuple(_rounded(walls)))
+    return ScannedPlace(robot_name=robot_name, sky=sky, floor=floor, walls=tuple(_rounded(walls)))
 
 
 def _on_grid(shape: BaseGeometry) -> BaseGeometry:
@@ -164,7 +166,7 @@ def _rounded(areas: list[Polygon]) -> Iterator[Plan]:
 def scan_text(world: World, source: str) -> str:
     """Return the file content of a world of a scan."""
     place = world.place
-    if not isinstance(place, Scan):
+    if not isinstance(place, ScannedPlace):
         raise TypeError(f"unsupported place for {FORMAT}: {type(place).__name__}")
     start, victim = (
         {"x": spot.x, "y": spot.y, "heading_deg": math.degrees(spot.heading)}

@@ -13,7 +13,7 @@ from services.simulator.world.furniture import Furniture, FurnitureKind
 from services.simulator.world.place import Place, World, WorldError
 from services.simulator.world.room import Room
 from services.simulator.world.route import plan_route
-from services.simulator.world.scan import Scan
+from services.simulator.world.scan import ScannedPlace
 from services.simulator.world.terrain import Terrain, Tree
 
 _TREE_MOVES_M: Final = 3.0
@@ -43,7 +43,7 @@ def vary(world: World, *, facade_seed: int = 0, clutter_seed: int = 0) -> World:
         The place is a scan, which has neither façades nor movable objects.
     """
     place = world.place
-    if (facade_seed or clutter_seed) and isinstance(place, Scan):
+    if (facade_seed or clutter_seed) and isinstance(place, ScannedPlace):
         raise WorldError(
             f"{world.name}: a scan's surfaces and furniture cannot change; choose a --variation of "
             "light, haze or exposure"

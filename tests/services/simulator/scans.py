@@ -95,8 +95,10 @@ def hilly(folder: Path) -> Path:
     x, y = np.meshgrid(np.linspace(0, 20, 41), np.linspace(0, 20, 41), indexing="ij")
     ground = np.stack([x, y, 0.1 * x + 0.02 * np.sin(3 * y)], axis=-1).reshape(-1, 3)
     index = np.arange(41 * 41).reshape(41, 41)
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    faces = np.concatenate([np.stack(f, axis=-1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
+    first = index[:-1, :-1]
+    across = index[1:, 1:]
+    halves = ((first, index[1:, :-1], across), (first, across, index[:-1, 1:]))
+    faces = np.concatenate([np.stack(half, axis=-1).reshape(-1, 3) for half in halves])
     wall = trimesh.creation.box((0.3, 16.0, 2.5))
     wall.apply_translation((10.0, 8.0, 1.0 + 1.25))
     path = folder / "hill.ply"

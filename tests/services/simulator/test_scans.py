@@ -17,9 +17,9 @@ from services.simulator.sensors.camera import CameraSettings
 from services.simulator.sensors.readings import LEVEL
 from services.simulator.variation import VARIATIONS
 from services.simulator.world import Pose, WorldError, load_world
-from services.simulator.world.loading import Task
+from services.simulator.world.loading import RoleWishes
 from services.simulator.world.route import obstacles_of, plan_route, route_length_m
-from services.simulator.world.scan import Scan, scan_text
+from services.simulator.world.scan import ScannedPlace, scan_text
 from services.simulator.world.varying import vary
 from tests.services.simulator.scans import (
     SIZE_M,
@@ -34,7 +34,7 @@ from tests.sharing import made_once
 
 INDOOR = load_world("indoor")
 START = Pose(INDOOR.start.x, INDOOR.start.y, INDOOR.start.heading)
-TASK = Task(INDOOR.start, INDOOR.victim)
+TASK = RoleWishes(INDOOR.start, INDOOR.victim)
 
 
 def summary(imported: ImportedScan, name: str) -> str:
@@ -63,7 +63,7 @@ def scanned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made_once(tmp_path_factory, "scan", make) / "lab.json"
 
 
-def same_floor(place: Scan) -> float:
+def same_floor(place: ScannedPlace) -> float:
     """Return the share of the laboratory's free floor that a scan of it found, and no more."""
     room = shapely.box(0, 0, *SIZE_M)
     solids = [one.shape for one in INDOOR.place.solids if one.low_m < INDOOR.robot.top_m]
@@ -76,7 +76,7 @@ def same_floor(place: Scan) -> float:
 
 def test_scan_has_floor_and_route_of_the_room(scanned: Path) -> None:
     world = load_world(scanned)
-    assert isinstance(world.place, Scan)
+    assert isinstance(world.place, ScannedPlace)
     assert same_floor(world.place) > 0.9
     assert not world.place.sky
     length_m = route_length_m(plan_route(world, (world.start.x, world.start.y)))
@@ -91,7 +91,7 @@ def test_scan_in_another_unit_becomes_metres(tmp_path: Path, unit: str, unit_m: 
     assert summary(imported, "unit").startswith(f"{unit_m:g} m")
     assert summary(imported, "up axis").startswith("y ")
     place = imported.world.place
-    assert isinstance(place, Scan)
+    assert isinstance(place, ScannedPlace)
     assert same_floor(place) > 0.9
 
 
@@ -101,7 +101,7 @@ def test_scan_as_obj_with_z_up_is_detected(tmp_path: Path) -> None:
     assert summary(imported, "up axis").startswith("z ")
     assert share(imported, "untextured") == 0.0
     place = imported.world.place
-    assert isinstance(place, Scan)
+    assert isinstance(place, ScannedPlace)
     assert same_floor(place) > 0.9
 
 
@@ -111,8 +111,8 @@ def test_scan_with_draco_equals_the_plain_one(tmp_path: Path, scanned: Path) -> 
     imported = import_scan(tmp_path / "draco.glb", ScanWishes(TASK))
     plain = load_world(scanned).place
     place = imported.world.place
-    assert isinstance(place, Scan)
-    assert isinstance(plain, Scan)
+    assert isinstance(place, ScannedPlace)
+    assert isinstance(plain, ScannedPlace)
     difference = place.floor.footprint.symmetric_difference(plain.floor.footprint)
     assert difference.area < 0.02 * plain.floor.footprint.area
 
@@ -144,7 +144,7 @@ def test_scan_of_two_storeys_has_the_floor_asked_for(tmp_path: Path) -> None:
 def test_scan_of_a_slope_is_laid_level(tmp_path: Path) -> None:
     imported = import_scan(hilly(tmp_path), ScanWishes(scale=1.0, up="z"))
     place = imported.world.place
-    assert isinstance(place, Scan)
+    assert isinstance(place, ScannedPlace)
     assert place.sky
     assert summary(imported, "robot").startswith("rescuebot")
     assert place.floor.footprint.area == pytest.approx(400.0 - 16 * 0.3, rel=0.05)
@@ -164,8 +164,8 @@ def test_far_specks_do_not_change_a_scan(tmp_path: Path, scanned: Path) -> None:
     scene.export(tmp_path / "specks.glb")
     place = import_scan(tmp_path / "specks.glb", ScanWishes(TASK)).world.place
     plain = load_world(scanned).place
-    assert isinstance(place, Scan)
-    assert isinstance(plain, Scan)
+    assert isinstance(place, ScannedPlace)
+    assert isinstance(plain, ScannedPlace)
     difference = place.floor.footprint.symmetric_difference(plain.floor.footprint)
     assert difference.area < 0.02 * plain.floor.footprint.area
 
