@@ -34,8 +34,9 @@ _ROTATIONS: Final = {
 _STOREY_M: Final = (2.0, 4.5)
 # glTF files are in metres by their standard, unless a storey is lower or higher than this.
 _METRES_STOREY_M: Final = (1.8, 15.0)
-# Horizontal extent of a place without a ceiling.
+# Horizontal extent of a place without a ceiling, and its height in other units than metres.
 _EXTENT_M: Final = (2.0, 300.0)
+_HEIGHT_M: Final = 15.0
 # Share of the largest level's area that a floor and a ceiling have at least.
 _LEVEL: Final = 0.25
 _BINS: Final = 256
@@ -318,8 +319,8 @@ def _to_metres(
     """Scale the parts to metres, by the height of a storey or else by the extent."""
     storey = _storey(parts)
     corners = np.concatenate([part.vertices for part in parts])
-    extent = float(np.ptp(corners[:, :2], axis=0).max())
-    unit, why = _unit(storey, extent, metric=metric)
+    size = np.ptp(corners, axis=0)
+    unit, why = _unit(storey, float(size[:2].max()), float(size[2]), metric=metric)
     scale = wish or UNITS[unit]
     if wish:
         why = "given"
@@ -327,7 +328,8 @@ def _to_metres(
     return sized, ("unit", f"{scale:g} m ({why})")
 
 
-def _unit(storey: float | None, extent: float, *, metric: bool) -> tuple[str, str]:
+def _unit(storey: float | None, extent: float, height: float, *, metric: bool) -> tuple[str, str]:
+    """Return the unit of a scan by its sizes in that unit, and the reason."""
     detected = "detected; --scale METRES sets it"
     if storey is not None:
         if metric and _METRES_STOREY_M[0] <= storey <= _METRES_STOREY_M[1]:
@@ -336,7 +338,8 @@ def _unit(storey: float | None, extent: float, *, metric: bool) -> tuple[str, st
             if _STOREY_M[0] <= storey * metres <= _STOREY_M[1]:
                 return unit, f"{detected}: a storey of {storey * metres:.1f} m"
     for unit in ("m", "cm", "mm"):
-        if _EXTENT_M[0] <= extent * UNITS[unit] <= _EXTENT_M[1]:
+        low = unit == "m" or height * UNITS[unit] <= _HEIGHT_M
+        if low and _EXTENT_M[0] <= extent * UNITS[unit] <= _EXTENT_M[1]:
             return unit, "assumed from the extent; --scale METRES sets it"
     raise WorldError(
         f"its extent of {extent:g} fits no unit; give --scale METRES, the length of a unit of the file"

@@ -95,6 +95,18 @@ def test_scan_in_another_unit_becomes_metres(tmp_path: Path, unit: str, unit_m: 
     assert same_floor(place) > 0.9
 
 
+def test_scan_without_a_ceiling_in_millimetres_is_detected(tmp_path: Path) -> None:
+    scene = laboratory(unit_m=0.001)
+    for name, mesh in list(scene.geometry.items()):
+        if mesh.bounds[0, 2] > 2.7:
+            scene.delete_geometry(name)
+    scene.export(tmp_path / "open.glb")
+    imported = import_scan(tmp_path / "open.glb", ScanWishes(TASK))
+    assert summary(imported, "unit").startswith("0.001 m")
+    assert summary(imported, "place").startswith("outdoors")
+    assert summary(imported, "robot").startswith("turtlebot")
+
+
 def test_scan_as_obj_with_z_up_is_detected(tmp_path: Path) -> None:
     laboratory(y_up=False).export(tmp_path / "lab.obj")
     imported = import_scan(tmp_path / "lab.obj", ScanWishes(TASK))
