@@ -95,4 +95,4 @@ install_vulkan
 install_python
 install_packages
 [ "${1:-}" != --tests ] || install_chromium
-say "done: .venv/bin/smal"
+say "done; next: source .venv/bin/activate"

@@ -61,7 +61,7 @@ class Belief:
     #: Way since a view last supported the robot's place, in the map's unit.
     unseen: float = 0.0
     camera: CameraState = "sees"
-    #: Sum of the evidence since the start, or since the robot was last lost; at least 0.
+    #: Sum of the certain evidence since the start, or since the robot was last lost; at least 0.
     support: float = math.inf
     #: Estimated angle by which the camera points further down than when it was taught.
     pitch_deg: float = 0.0
@@ -124,13 +124,20 @@ class Newness:
     Therefore many small changes add up to one new view. A view that comes back, or noise while the
     robot stands, adds none. A turn changes a view fast, but a place that resembles the scene goes on
     resembling it: a turn counts as `VisualMap.repeated` measures it.
+
+    Attributes
+    ----------
+    certain
+        Part of the last result that is certain. A turn that changes a view as much as a new place
+        does hides what else has changed: then only the turn and the way by the odometry count.
     """
 
     def __init__(self, visual_map: VisualMap) -> None:
         self._map = visual_map
         self._counted = self._last = np.zeros(len(visual_map.basis), dtype=np.float32)
-        self._used = 0.0
+        self._used = self._used_certain = 0.0
         self._step = np.zeros(3)
+        self.certain = 0.0
 
     def move(self, step: Floats) -> None:
         """Follow the robot by a step: ahead, left, turned (3,)."""
@@ -145,26 +152,32 @@ class Newness:
         like_last = correlation(float(centred @ self._last))
         if like_last < self._map.next_correlation:
             # The earlier views showed another scene.
-            self._used = 0.0
+            self._used = self._used_certain = 0.0
         self._last = centred
         like_counted = correlation(float(centred @ self._counted))
-        same = self._without_turn(like_counted, self._step) * self._map.repeated(self._step[2])
-        new = (1.0 - same) / (1.0 + same)
+        ahead, left, turned = self._step
+        by_turn = self._map.expected(np.array([0.0, 0.0, turned]))
+        by_way = self._map.expected(np.array([ahead, left, 0.0]))
+        repeated = self._map.repeated(turned)
+        like = min(like_counted / max(by_turn, 1e-9), 1.0)
+        same = min(like, math.sqrt(like * by_way)) * repeated
+        hidden = by_turn < self._map.next_correlation
+        new = _new(same)
+        certain = _new(by_way * repeated) if hidden else new
         newness = max(new - self._used, 0.0)
+        self.certain = min(max(certain - self._used_certain, 0.0), newness)
         self._used = max(new, self._used)
+        self._used_certain = max(certain, self._used_certain)
         if same < self._map.next_correlation:
             self._counted = centred
-            self._used = 0.0
+            self._used = self._used_certain = 0.0
             self._step = np.zeros(3)
         return newness
 
-    def _without_turn(self, like: float, step: Floats) -> float:
-        """Return the correlation of two views, a step apart, without the change by the turn."""
-        ahead, left, turned = step
-        by_turn = self._map.expected(np.array([0.0, 0.0, turned]))
-        by_way = self._map.expected(np.array([ahead, left, 0.0]))
-        like = min(like / max(by_turn, 1e-9), 1.0)
-        return min(like, math.sqrt(like * by_way))
+
+def _new(same: float) -> float:
+    """Return the part of a view that is new, by its correlation with the view before."""
+    return (1.0 - same) / (1.0 + same)
 
 
 class Filter:
@@ -303,7 +316,8 @@ class Filter:
             self._last = seen.components
             self._since = np.zeros(3)
             self._weigh(seen)
-            self._support = max(self._support + self._evidence, 0.0)
+            certain = 1.0 if self._evidence < 0.0 else self._newness.certain / seen.newness
+            self._support = max(self._support + certain * self._evidence, 0.0)
             self._note_sure()
         if self._odds.lost > 0.5:
             self._support = 0.0

@@ -30,6 +30,8 @@ class Model(Stored):
     words: Mapping[str, Word] = field(default_factory=dict)
     #: Appearance of the ground, if known.
     ground: Ground | None = None
+    #: Name of the world of all drives; empty if it is unknown or differs.
+    world: str = ""
 
     def __post_init__(self) -> None:
         features = len(self.mapped.basis)
@@ -66,6 +68,8 @@ class Model(Stored):
         if self.ground is not None:
             meta = meta | {"strange": self.ground.strange}
             arrays = arrays | {"ground": self.ground.colours}
+        if self.world:
+            meta = meta | {"world": self.world}
         return meta, arrays
 
     @classmethod
@@ -79,4 +83,7 @@ class Model(Stored):
             ground = Ground(arrays.pop("ground"), meta["strange"])
         mapped = VisualMap.of_content(meta["map"], arrays)
         centering = Centering(mean, FeatureSettings.of_content(meta))
-        return cls(centering, mapped, sights, words, ground)
+        world = meta.get("world", "")
+        if not isinstance(world, str):
+            raise TypeError(f"the world is not a name: {world!r}")
+        return cls(centering, mapped, sights, words, ground, world)

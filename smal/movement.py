@@ -14,6 +14,8 @@ from smal.arrays import AnyArray, Floats
 #: Linear velocity ahead and angular velocity to the left, as shares of the robot's own, -1 to 1.
 Motion = tuple[float, float]
 STANDS: Final[Motion] = 0.0, 0.0
+#: Concentration of the angles between headings and motion by which degrees fit better than radians.
+_CLEARLY: Final = 0.2
 
 
 class Atom(IntEnum):
@@ -75,6 +77,28 @@ BY_ODOMETRY: Final = MotionNoise(ahead=0.05, turn=0.03, pace=0.05, pace_lengths=
 #: deviation). Within a correlation length or a radian, the robot stops or moves twice as far (two
 #: standard deviations). The usual movement misses a robot that is held, so jumps are more likely.
 BY_ATOMS: Final = MotionNoise(ahead=0.5, turn=0.5, pace=math.log(2.0), jump=2e-2)
+
+
+def is_pose(pose: Any) -> bool:  # noqa: ANN401 - given by a user
+    """Return whether a value is three finite numbers: x, y and heading."""
+    values = np.asarray(pose)
+    return values.shape == (3,) and values.dtype.kind in "iuf" and bool(np.isfinite(values).all())
+
+
+def in_degrees(poses: Floats) -> bool:
+    """Return whether headings of poses (f, 3) beyond a turn fit the motion in degrees, not radians."""
+    headings = poses[:-1, 2]
+    x, y = np.diff(poses[:, :2], axis=0).T
+    lengths = np.hypot(x, y)
+    if np.abs(headings).max(initial=0.0) <= math.tau or not lengths.any():
+        return False
+    moved = np.arctan2(y, x)
+    # Doubled angles are equal ahead and in reverse; their concentration ignores how a sensor is mounted.
+    degrees, radians = (
+        abs(np.average(np.exp(2j * (moved - headings * unit)), weights=lengths))
+        for unit in (math.radians(1.0), 1.0)
+    )
+    return bool(degrees - radians > _CLEARLY)
 
 
 def wrapped(angle_rad: AnyArray) -> AnyArray:

@@ -13,10 +13,21 @@ from smal.camera_change import CameraPitch
 from smal.features import extract
 from smal.features.detectors import Detection
 from smal.features.percept import Percept, perceive
+from smal.features.resizing import same_aspect
 from smal.filter import Belief, Filter
 from smal.map import beside, way_from
 from smal.model import Model
-from smal.movement import BY_ATOMS, BY_ODOMETRY, STANDS, STILL, Atom, Motion, Movement, placed
+from smal.movement import (
+    BY_ATOMS,
+    BY_ODOMETRY,
+    STANDS,
+    STILL,
+    Atom,
+    Motion,
+    Movement,
+    is_pose,
+    placed,
+)
 from smal.obstacles.clearance import Mount, Surroundings
 from smal.obstacles.strange import GROUND_CONFIG, swept
 from smal.particles import FILTER_CONFIG, FilterConfig
@@ -246,10 +257,10 @@ class Localizer:
                 f"the time since the frame before must be finite and not negative, got {elapsed_s}"
             )
         odometry = odometry if self._map.odometry else None
-        if odometry is not None and not (len(odometry) == 3 and all(map(math.isfinite, odometry))):
+        if odometry is not None and not is_pose(odometry):
             raise ValueError(
                 "the pose by the wheels must be three finite numbers, x, y and heading in radians, "
-                f"got {tuple(odometry)}"
+                f"got {odometry!r:.60}"
             )
         movement = STILL
         noise = BY_ATOMS
@@ -288,20 +299,32 @@ def surroundings(
     odometry: Sequence[float],
     depth: tuple[Float32s | None, Mount] | None,
     elapsed_s: float,
+    radius_m: float = 0.0,
 ) -> Surroundings | None:
     """Return the surroundings at an odometry pose, with a depth image and the mount of its camera.
 
-    `elapsed_s` is the time since the call before, seconds. The surroundings begin with the first
-    mount; they are None before it.
+    Parameters
+    ----------
+    before
+        Surroundings of the call before; they begin anew when the mount changes the radius.
+    odometry, depth
+        As in `Robot.step`; the depth image can be None.
+    elapsed_s
+        Time since the call before, seconds.
+    radius_m
+        Radius of a robot without a mount, metres; 0 if unknown: then the surroundings begin with
+        the first mount.
     """
+    mount = None if depth is None else depth[1]
+    if before is None and mount is None and radius_m <= 0.0:
+        return None
+    if before is None or (mount is not None and mount.radius_m != before.radius_m):
+        before = Surroundings(radius_m if mount is None else mount.radius_m)
     if depth is None:
-        if before is not None:
-            before.move(odometry)
-        return before
-    _, mount = depth
-    around = before or Surroundings(mount.radius_m)
-    around.observe(odometry, *depth, elapsed_s)
-    return around
+        before.move(odometry)
+    else:
+        before.observe(odometry, *depth, elapsed_s)
+    return before
 
 
 class Robot:
@@ -371,7 +394,7 @@ class Robot:
             Time since the image before, seconds; by default the time between taught images.
         depth : (array (height, width), Mount), optional
             Depth image in metres (0 = not measured), and the mount of its camera. With depth and odometry, the robot
-            drives around obstacles.
+            drives around obstacles; with odometry alone, around what it has touched.
 
         Returns
         -------
@@ -379,6 +402,12 @@ class Robot:
             Linear velocity ahead and angular velocity to the left, as shares of the robot's own, -1 to 1.
         """
         percept = perceive(image, self._localizer.features)
+        width, height = self._map.size
+        if not same_aspect(image.shape, (height, width)):
+            raise ValueError(
+                f"an image of {image.shape[1]}x{image.shape[0]} shows another view than the taught "
+                f"images of {width}x{height}; use the camera of the drive"
+            )
         # One image that is less like the map when swapped settles it.
         if len(self._swapped) < _COLOURS_CHECKED and min(self._swapped, default=1.0) > 0.0:
             self._check_colours(image, percept.features)
@@ -388,7 +417,9 @@ class Robot:
             self._around = None
         else:
             tick_s = self._map.tick_s if elapsed_s is None else elapsed_s
-            self._around = surroundings(self._around, odometry, depth, tick_s)
+            self._around = surroundings(
+                self._around, odometry, depth, tick_s, self._planner.radius_m
+            )
         self.decision = self._planner.decide(
             located.belief,
             elapsed_s,
@@ -401,8 +432,11 @@ class Robot:
 
     def _check_colours(self, image: Uint8s, features: Float32s) -> None:
         """Warn if the first images of an episode are more like the map with red and blue swapped."""
-        swapped = extract(np.ascontiguousarray(image[..., ::-1]), self._localizer.features)
-        self._swapped.append(self._likeness(swapped) - self._likeness(features))
+        other = extract(np.ascontiguousarray(image[..., ::-1]), self._localizer.features)
+        swapped = self._likeness(other)
+        # A robot that looks away from the way sees nothing taught, whatever the colours.
+        taught = swapped > self._map.next_correlation
+        self._swapped.append(swapped - self._likeness(features) if taught else 0.0)
         clear = min(self._swapped) > 0.0 and np.mean(self._swapped) > _CLEARLY_SWAPPED
         if len(self._swapped) == _COLOURS_CHECKED and clear:
             warnings.warn(

@@ -99,7 +99,7 @@ def evaluate(
 
 
 def _complete(results: Results, planned: list[Unit], at_work: options.AtWork) -> None:
-    with at_work.engine() as engine, closing(Bars("unit")) as bars:
+    with at_work.engine() as engine, closing(Bars("unit", finished=len(results.findings))) as bars:
         try:
             results.complete(planned, engine, partial(bars, "units (drives, models, searches)"))
         except KeyboardInterrupt:

@@ -59,10 +59,10 @@ def export_recordings(
     try:
         with outputs.new_folder(out, "--out") as folder:
             # disable=None: a bar in a log file or a pipe hides the remarks.
-            reading = bar_of(files, desc="reading", unit="file", disable=None)
+            reading = bar_of(files, desc="reading", unit="file")
             drives = read(reading, speed, turn_rate, tally)
             total = sum(len(drive.ticks) for drive in drives)
-            with bar_of(desc="exporting", unit="tick", total=total, disable=None) as bar:
+            with bar_of(desc="exporting", unit="tick", total=total) as bar:
                 write(form, drives, folder, tally, lambda: cast("None", bar.update()))
     finally:
         remark(tally.lines())

@@ -79,7 +79,11 @@ class SourceScale:
         float | None, Option(metavar="M_S", help="Speed of value 1 in metres per second.")
     ] = None
     turn_rate: Annotated[
-        float | None, Option(metavar="RAD_S", help="Turn rate of value 1 in radians per second.")
+        float | None,
+        Option(
+            metavar="RAD_S",
+            help="Turn rate of value 1 in radians per second; below 0 if right is positive.",
+        ),
     ] = None
     quantile: Annotated[float, Option(help="Share of moving samples below the nominal speed.")] = (
         QUANTILE
@@ -132,6 +136,10 @@ def import_recordings(
     --rate replaces wrong times of a tub or a table. An option without effect on a source is an
     error. A drive that cannot be read is left out and reported if others can be read.
 
+    Times in milliseconds, microseconds or nanoseconds and headings in degrees are converted, with
+    a remark. Turns to the other side than those of the views are mirrored if only the velocities or
+    only the odometry contradict the views; a remark names the remedy if both do.
+
     Recordings have 10 frames per second at any source rate. Velocities become the actions forward,
     backward, left, right and stop; --still and --turning set the limits as fractions of the robot's
     nominal speed and turn rate. Odometry is compared with velocities and views: resets are joined,
@@ -148,6 +156,7 @@ def import_recordings(
         raise UsageError(f"--to {part.to_s:g}: not after --from {part.from_s:g}")
     if part.rotate_deg not in ROTATIONS_DEG:
         raise UsageError(f"--rotate {part.rotate_deg}: unsupported; choose 90, 180 or 270")
+    path.stat()  # A path that does not exist is an invalid argument.
     with outputs.workshop(out, "--out") as folder:
         asked = asdict(part) | asdict(scale) | {"episodes": tuple(part.episodes or ())}
         asked["reckon"] = not asked.pop("no_odometry")
@@ -195,4 +204,7 @@ def _lines(report: ImportReport, job: ImportJob, files: list[Path], out: Path) -
     )
     yield f"actions       {made}"
     yield f"odometry      {report.odometry}"
+    field_deg = report.field_of_view_deg
+    unknown = "no calibration (--field-of-view); smal learn estimates it from the views"
+    yield f"camera        {unknown if field_deg is None else f'{field_deg:.0f} degrees wide'}"
     yield f"recordings in {out}; next: smal learn {out} --out MODEL"

@@ -14,6 +14,12 @@ from services.experiments.progress import Bars
 def laps(
     source: Annotated[Path, Argument(help="Tub of donkeycar, recording, or folder of recordings.")],
     out: Annotated[Path, Option(help="Folder for the results.")],
+    rate_hz: Annotated[
+        float | None,
+        Option(
+            "--rate", min=0.1, max=1000, metavar="HZ", help="Frame rate of a tub with wrong times."
+        ),
+    ] = None,
 ) -> None:
     """Evaluate place recognition on laps of a real robot and write a page of results.
 
@@ -29,7 +35,7 @@ def laps(
     from services.experiments.laps.source import read_laps  # noqa: PLC0415
 
     with closing(Bars()) as bar:
-        found = read_laps(source, bar)
+        found = read_laps(source, bar, rate_hz)
         outputs.make_folder(out, "--out")
         judged = ask(found, bar)
     typer.echo(f"results: {write_page(out, source, found, judged)}")

@@ -1,6 +1,7 @@
 """``smal learn``: learn a map of views from recordings."""
 
 import time
+from dataclasses import replace
 from typing import Annotated, Any
 
 from typer import Option, echo
@@ -74,6 +75,7 @@ def learn(
             " after it has tracked the way to its end",
             err=True,
         )
+    model = replace(model, world=teaching.world)
     lessons.finish(model, _found(model), teaching, began_s)
 
 

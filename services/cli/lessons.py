@@ -16,6 +16,7 @@ from services.experiments.words import counted, remark, table
 from services.kit.errors import JobError, UsageError
 from services.kit.model_service import AnyModel
 from services.recordings.dataset import Teacher, Teaching, find_recordings
+from services.simulator.world import known_worlds
 from smal.features import FeatureSettings
 from smal.files.container import ModelError
 from smal.teaching.demonstration import DriveUse
@@ -105,6 +106,9 @@ class Lessons:
         self.report(rows | found, began_s, used | found)
         for line in table_of(teaching.uses):
             typer.echo(line)
+        simulated = teaching.world in known_worlds()
+        following = f"run --world {teaching.world}" if simulated else "up"
+        typer.echo(f"next: smal {following} --model {self.out}")
 
 
 def table_of(uses: Sequence[DriveUse]) -> Iterator[str]:

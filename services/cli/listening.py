@@ -8,6 +8,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Annotated, Any, Final, cast
 
 import numpy as np
@@ -16,10 +17,11 @@ from typer import Argument, Option
 
 from schemas.base import Message
 from schemas.codec import DecodeError, decode, printable
-from schemas.topics import ROOT, key_of, topic_of
+from schemas.topics import ROOT, TOPICS, key_of, topic_of
 from services.cli import options
 from services.experiments.words import number, table
 from services.kit.bus import Bus
+from services.kit.errors import UsageError
 from services.kit.inbox import Inbox
 
 QUEUE: Final = 64  # Maximum number of samples kept while the terminal is slower than the bus.
@@ -112,11 +114,12 @@ def echo(
 
     Example: smal topic echo 'command/*' --json --count 5
     """
+    expression = key_expression(keys, reach.robot)
     inbox = Inbox()
     inbox.open("samples", QUEUE)
     with _listening(reach) as bus:
         bus.listen(
-            key_expression(keys, reach.robot),
+            expression,
             lambda key, payload, encoding: inbox.put(
                 "samples", Sample(key, payload, encoding), len(payload)
             ),
@@ -182,7 +185,17 @@ def key_expression(keys: str | None, robot: str) -> str:
     """Expand a topic's short name to the key expression of a robot; keep a full key expression."""
     if keys is None:
         return f"{ROOT}/{robot}/**"
-    return keys if keys == ROOT or keys.startswith((f"{ROOT}/", "*")) else f"{ROOT}/{robot}/{keys}"
+    if keys == ROOT or keys.startswith((f"{ROOT}/", "*")):
+        return keys
+    if "*" not in keys and keys not in TOPICS:
+        raise not_found(keys)
+    return f"{ROOT}/{robot}/{keys}"
+
+
+def not_found(name: str) -> UsageError:
+    """Return the error for an unknown topic."""
+    near = get_close_matches(name, TOPICS, n=1) or ["smal topic list"]
+    return UsageError(f"topic {name!r} not found; did you mean {near[0]}?")
 
 
 @contextmanager

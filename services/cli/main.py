@@ -1,6 +1,7 @@
 """Entry point of the ``smal`` command.
 
-A user error is printed as one line. The exit status is 2 for invalid usage and 1 for a failed job.
+A user error is printed as one line. The exit status is 2 for invalid usage, which includes paths that
+do not exist, and 1 for a failed job, which includes files with unusable content.
 """
 
 import sys
@@ -22,9 +23,11 @@ from services.kit.version import program_version
 _EXIT_FAILED = 1
 _EXIT_USAGE = 2
 _EXIT_INTERRUPTED = 130
+_WRONG_PATH: Final = (FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError)
 #: Location and summary of each command. Modules are loaded on demand: all of them take seconds.
 COMMANDS: Final = {
     "doctor": ("services.cli.doctor:doctor", "Check the requirements of SMAL on this machine."),
+    "demo": ("services.cli.demo:demo", "Teach, learn and run once, as a first look."),
     "up": ("services.cli.up:up", "Start a whole stack and keep it running."),
     "demonstrate": (
         "services.cli.demonstrate:demonstrate",
@@ -85,6 +88,8 @@ def _load(name: str) -> TyperGroup | TyperCommand:
         found = alone
     command = cast("TyperGroup | TyperCommand", typer.main.get_command(found))
     command.name = name
+    for one in getattr(command, "commands", {name: command}).values():
+        one.no_args_is_help = any(parameter.required for parameter in one.params)
     return command
 
 
@@ -118,7 +123,7 @@ def main() -> None:
             raise KeyboardInterrupt
     except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - what nobody expects is raised again
         message, status = _told(error)
-        # A group of commands without arguments prints its help.
+        # Without arguments a command that needs some prints its help.
         sys.stderr.write(f"{message}\n" if message.startswith("Usage: ") else f"smal: {message}\n")
     sys.exit(status if isinstance(status, int) else 0)
 
@@ -137,14 +142,16 @@ def _told(error: BaseException) -> tuple[str, int]:
         case UsageError():
             return str(error), _EXIT_USAGE
         case JobError():
-            return str(error), _EXIT_FAILED
+            wrong_path = isinstance(error.__context__, _WRONG_PATH)
+            return str(error), _EXIT_USAGE if wrong_path else _EXIT_FAILED
         case Exception() if out_of_memory(error):
             return (
                 "out of memory; free some, or allow more (ulimit -v), and run the command again",
                 _EXIT_FAILED,
             )
         case OSError():
-            return describe_os_error(error), _EXIT_FAILED
+            wrong_path = isinstance(error, _WRONG_PATH)
+            return describe_os_error(error), _EXIT_USAGE if wrong_path else _EXIT_FAILED
         case KeyboardInterrupt() | typer.Abort():
             return "interrupted", _EXIT_INTERRUPTED
     # Imported late, because the cases above do not need it.

@@ -69,7 +69,7 @@ def show(
     with closing(Bars()) as bars:
         found = None
         if files is not None:
-            found = find_drives(model, bar_of(files, desc="reading", unit="file", disable=None))
+            found = find_drives(model, bar_of(files, desc="reading", unit="file"))
             remark([*found.remarks, *(f"missing: {one}" for one in found.missing)])
         try:
             page = write_page(out, model, file, found, bars)

@@ -16,7 +16,7 @@ from schemas.topics import check_robot_id
 from services.cli.stack import flags
 from services.experiments.engine import Engine
 from services.kit.bus import DEFAULT_ROUTER
-from services.kit.errors import UsageError
+from services.kit.errors import JobError, UsageError
 from services.kit.model_service import AnyModel, load_model, refused
 from services.kit.settings import DEFAULT_SECURE_ROUTER, MAX_ROBOTS, ServiceSettings, fleet
 from services.simulator.opening import BaseKind
@@ -45,7 +45,7 @@ class CameraOptions:
         width, _, height = text.partition("x")
         if not (width.isdecimal() and height.isdecimal()):
             raise UsageError(
-                f"--camera {text!r}: invalid; expected WIDTHxHEIGHT, for example 1024x768"
+                f"--camera {text!r}: invalid; expected WIDTHxHEIGHT, for example 320x240"
             )
         camera = cls(int(width), int(height))
         if not (32 <= camera.width <= 4096 and 24 <= camera.height <= 3072):
@@ -53,7 +53,8 @@ class CameraOptions:
         return camera
 
 
-USUAL_CAMERA: Final = CameraOptions(1024, 768)
+#: A camera image of 1024x768 costs ten times the time of this size.
+USUAL_CAMERA: Final = CameraOptions(320, 240)
 
 
 def fleet_of(robot: str, robots: int) -> tuple[str, ...]:
@@ -114,7 +115,7 @@ CameraSize = Annotated[
         "--camera",
         parser=CameraOptions.parse,
         metavar="WxH",
-        help="Size of the camera image. [default: 1024x768; `smal up`: 640x480]",
+        help="Size of the camera image. [default: 320x240]",
     ),
 ]
 Base = Annotated[
@@ -183,9 +184,9 @@ class Simulator:
         bool | None, Option(help="Depth camera for avoiding obstacles. [default: depth]")
     ] = None
 
-    def flags(self, world: str, usual: CameraOptions = USUAL_CAMERA) -> tuple[str, ...]:
+    def flags(self, world: str) -> tuple[str, ...]:
         """Return the command line flags of the service."""
-        camera = self.camera or usual
+        camera = self.camera or USUAL_CAMERA
         return flags(**asdict(self) | {"camera": None}, world=world, camera_width=camera.width,
                      camera_height=camera.height)  # fmt: skip
 
@@ -291,20 +292,26 @@ class Use:
     goal: Goal = None
 
 
-def read_world(world: str) -> LoadedWorld:
-    """Read the world of ``--world`` before the processes start."""
+def faulty(path: str | Path, message: str) -> UsageError | JobError:
+    """Return the error for an input: its content is unusable, or the path is wrong."""
+    return JobError(message) if Path(path).is_file() else UsageError(message)
+
+
+def read_world(world: str, option: str = "--world ") -> LoadedWorld:
+    """Read a world before the processes start."""
     try:
         return load_foreign_world(world)
     except WorldError as error:
-        raise UsageError(f"--world {world}: {error}") from None
+        prefix = f"{option}{world}: " if option else ""
+        raise faulty(world, f"{prefix}{error}") from None
 
 
 def loaded(path: Path, option: str = "", hint: str = "") -> AnyModel:
-    """Read a model; raise UsageError with a prefix and a suffix if it is invalid."""
+    """Read a model; raise an error with a prefix and a suffix if it is invalid."""
     try:
         return load_model(path)
     except ModelError as error:
-        raise UsageError(f"{option}{error}{hint}") from None
+        raise faulty(path, f"{option}{error}{hint}") from None
 
 
 def read_model(path: Path, use: Use) -> AnyModel:

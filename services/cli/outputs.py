@@ -2,7 +2,9 @@
 
 import json
 import os
+import sys
 import tempfile
+import webbrowser
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -91,6 +93,12 @@ def writing(path: Path, option: str) -> Iterator[IO[bytes]]:
             yield file
     except OSError as error:
         raise JobError(f"{option} {path}: cannot be written: {error.strerror or error}") from None
+
+
+def open_page(address: str) -> None:
+    """Open a page in the browser; do nothing on a machine without a desktop."""
+    if sys.platform != "linux" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY"))):
+        webbrowser.open(address)
 
 
 def write_json(path: Path, option: str, content: object) -> None:

@@ -112,7 +112,7 @@ class Player:
         ticks = self._track.play(self._node.robot, self.episode, time.time_ns(), self._wanted)
         try:
             # disable=None: no bar in a pipe or a log.
-            for tick in bar_of(ticks, total=len(self._track), unit="frame", disable=None):
+            for tick in bar_of(ticks, total=len(self._track), unit="frame"):
                 if not wait(tick):
                     break
                 for message in tick.messages:

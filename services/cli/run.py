@@ -17,7 +17,7 @@ from services.cli import options, outputs
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
 from services.cli.episodes.files import name_for, recording
 from services.cli.stack import Access, flags, stack_for
-from services.experiments.words import counted
+from services.experiments.words import counted, remark
 from services.kit.bus import Bus
 from services.kit.errors import JobError
 from services.kit.model_service import AnyModel, identity_of, most_ticks
@@ -26,7 +26,7 @@ from smal.evaluation.precision_recall import wilson_interval
 from smal.features import FeatureSettings
 from smal.model import Model
 
-FRAMES_APART = 20  # Spacing of the camera images for the report, frames.
+FRAMES_APART = 10  # Spacing of the camera images for the report, frames.
 
 
 @dataclass(frozen=True)
@@ -116,6 +116,9 @@ def run(
     loaded = options.read_model(model, use)
     chosen, name = stack.world(world)
     asked = None if name is None else chosen
+    taught_in = loaded.world if isinstance(loaded, Model) else ""
+    if name is not None and taught_in not in ("", name):
+        remark([f"warning: {model} was taught in {taught_in}, and the robot is in {name}"])
     stack.refuse(simulator, modalities)
     files.check((chosen, model))
     services = ("router", "robot", "features", *CHAIN, *(["recorder"] if files.record else []))
@@ -139,7 +142,9 @@ def run(
     if files.report is not None:
         from services.cli.episodes.report import write_report  # noqa: PLC0415 - matplotlib takes a second to import
 
-        typer.echo(f"results: {write_report(files.report, asked, loaded, records, summary)}")
+        typer.echo(
+            f"results: {write_report(files.report, asked, (model, loaded), records, summary)}"
+        )
     typer.echo("\n".join(_lines(summary, records)))
 
 

@@ -1,8 +1,8 @@
 """``smal topic``: describe, print and measure the topics on the bus."""
 
 import json
+import shutil
 from contextlib import closing
-from difflib import get_close_matches
 from typing import Annotated
 
 import typer
@@ -12,10 +12,9 @@ from schemas.codec import encoding_of
 from schemas.topics import TOPICS, Topic, topic_of
 from services.cli import options
 from services.cli.grouping import STYLE, grouped
-from services.cli.listening import CONNECT_S, echo, hz, say
+from services.cli.listening import CONNECT_S, echo, hz, not_found, say
 from services.cli.stack import answers, instances
 from services.experiments.words import table
-from services.kit.errors import UsageError
 from services.table import SERVICES, givers, graph, takers
 
 app = typer.Typer(
@@ -31,6 +30,8 @@ def list_topics(
 ) -> None:
     """List every topic; works without a running stack.
 
+    `smal topic info TOPIC` describes a topic completely.
+
     Example: smal topic list --json
     """
     if as_json:
@@ -41,9 +42,11 @@ def list_topics(
         headings = ["| topic | message | Hz | from | to | meaning |", "|---|---|---|---|---|---|"]
         say("\n".join([*headings, *rows]).replace("``", "`"))
     else:
-        headings = ["topic", "message", "Hz", "from", "to", "meaning"]
-        for line in table([headings, *map(_cells, TOPICS.values())], left=len(headings)):
-            say(line.replace("``", ""))
+        cells = map(_cells, TOPICS.values())
+        lines = [[one[0], one[2], one[-1].replace("``", "")] for one in cells]
+        columns = shutil.get_terminal_size().columns
+        for line in table([["topic", "Hz", "meaning"], *lines], left=3):
+            say(line if len(line) <= columns else f"{line[: columns - 1].rstrip()}…")
 
 
 @app.command("info")
@@ -58,8 +61,7 @@ def info(
     """
     topic = TOPICS.get(name) or topic_of(name)
     if topic is None:
-        near = get_close_matches(name, TOPICS, n=1) or ["smal topic list"]
-        raise UsageError(f"topic {name!r} not found; did you mean {near[0]}?")
+        raise not_found(name)
     row = _row(topic) | {
         "key": topic.key(robot),
         "encoding": encoding_of(topic.message),

@@ -14,7 +14,6 @@ from typing import Annotated, Final, NamedTuple
 from typer import Option
 
 from services.cli import certificates, options, outputs
-from services.cli.options import CameraOptions
 from services.cli.stack import GROUPED, Stack, StackPlan, flags
 from services.console.config import ConsoleSettings, listen
 from services.kit.bus import Router, addresses, host_and_port
@@ -26,7 +25,6 @@ from services.table import role_of, stack_services
 from smal.features import FeatureSettings
 
 WATCH_S: Final = 0.5  # Period of the check for ended services, seconds.
-CAMERA: Final = CameraOptions(640, 480)
 LAST_PORT: Final = 65535
 MOST_FURTHER: Final = 8  # A quarter of the router's sessions for a stack.
 _NONE: Final = "none"
@@ -214,6 +212,9 @@ def up(
     robot_body: RobotBody,
     reach: options.Reach,
     size: StackSize,
+    browser: Annotated[
+        bool, Option("--browser", help="Page in the browser when the stack is ready.")
+    ] = False,
     insecure: Annotated[
         bool, Option("--insecure", help="Access from other machines, without certificates.")
     ] = False,
@@ -276,7 +277,8 @@ def up(
         for name, (service, robot) in plan.processes().items()
     }
     placed = "without a robot" if left_out["robot"] else f"in {chosen.name}"
-    _run(replace(plan, flags=given), f"{placed} on {plan.endpoint}, {access}", metrics)
+    placed += f" on {plan.endpoint}, {access}"
+    _run(replace(plan, flags=given), placed, metrics, [*pages.values()], browser=browser)
 
 
 class _Chosen(NamedTuple):
@@ -301,7 +303,7 @@ def _chosen_body(
         place = world or options.DEFAULT_WORLD
         options.read_world(place)
         below = flags(root=files.root.resolve())
-        return _Chosen(place, {}, (*simulator.flags(place, CAMERA), *below))
+        return _Chosen(place, {}, (*simulator.flags(place), *below))
     for name, value in {"world": world, **asdict(simulator)}.items():
         if value is not None:
             raise UsageError(f"--{name}: unsupported by {module or body.body}; leave it out")
@@ -312,15 +314,21 @@ def _chosen_body(
     return _Chosen(base_name(*base), {"robot": f"services.{base[0]}"}, flags(robot_config=base[1]))
 
 
-def _run(plan: StackPlan, where: str, metrics: dict[str, int]) -> None:
-    """Keep the stack running until Ctrl-C."""
+def _run(
+    plan: StackPlan, where: str, metrics: dict[str, int], pages: list[str], *, browser: bool
+) -> None:
+    """Keep the stack running until Ctrl-C; open its first page if requested."""
     configure_logging("info")
     log = logging.getLogger("up")
     with Stack(plan) as stack:
-        log.info("ready: robot %s %s; Ctrl-C stops", ", ".join(plan.fleet), where)
+        log.info("robot %s %s; Ctrl-C stops", ", ".join(plan.fleet), where)
         if metrics:
             ports = ", ".join(f"{name} {port}" for name, port in metrics.items())
             log.info("GET /healthz and /metrics on 127.0.0.1: %s", ports)
+        opened = [f"http://{page}" for page in pages]
+        log.info("ready: %s", f"open {' and '.join(opened)}" if opened else "without a page")
+        if browser and opened:
+            outputs.open_page(opened[0])
         with suppress(KeyboardInterrupt):
             while True:
                 time.sleep(WATCH_S)

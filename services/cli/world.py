@@ -24,7 +24,7 @@ from services.experiments.progress import bar_of
 from services.experiments.words import counted, table
 from services.kit.errors import UsageError
 from services.simulator.sensors.camera import CameraSettings
-from services.simulator.world import Pose, World, WorldError, load_foreign_world
+from services.simulator.world import Pose, World, WorldError
 from services.simulator.world.loading import RoleWishes, Wishes, bounded, import_map
 from services.simulator.world.osm import MapSurroundings
 from services.simulator.world.route import lane_graph, plan_route, route_length_m
@@ -269,8 +269,8 @@ def render(
     Example: smal world render campus --out campus-views --views 8
     """
     size = camera or options.USUAL_CAMERA
+    world = options.read_world(name, "")
     outputs.make_folder(out, "--out")
-    world = load_foreign_world(name)
     from matplotlib.image import imsave  # noqa: PLC0415 - takes long to load
 
     places = viewpoints(world, views)

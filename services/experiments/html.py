@@ -2,16 +2,22 @@
 
 import base64
 import io
+import platform
+import re
+import shlex
+import sys
+import time
 import warnings
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from services.experiments.words import counted
 from services.kit.jpeg import encode_jpeg, shrunk
+from services.kit.version import program_version
 from smal.files.container import write_whole
 
 if TYPE_CHECKING:
@@ -33,16 +39,43 @@ def write_page(folder: Path, template: str, **data: object) -> Path:
 
 def render(template: str, **data: object) -> str:
     """Fill in a template; text in the data is escaped."""
-    return _environment().get_template(template).render(data)
+    return _environment().get_template(template).render(data, made=made())
+
+
+def made() -> str:
+    """Return the date, the command and the versions of a page."""
+    command = shlex.join(["smal", *sys.argv[1:]])
+    date = time.strftime("%Y-%m-%d %H:%M %Z")
+    return f"{date}, {command}, SMAL {program_version()}, Python {platform.python_version()}"
+
+
+def svg(figure: "Figure") -> str:
+    """Draw a figure as an inline SVG image, with the colours of the page, light or dark."""
+    import matplotlib as mpl  # noqa: PLC0415 - takes a second to import
+
+    from services.experiments.drawing import PAGE_COLOURS  # noqa: PLC0415 - see above
+
+    with mpl.rc_context({"svg.fonttype": "none"}):
+        text = _saved(figure, format="svg", transparent=True).decode()
+    text = re.sub(
+        r' width="[\d.]+pt" height="[\d.]+pt"|width="[\d.]+pt"|height="[\d.]+pt"', "", text
+    )
+    for colour, variable in PAGE_COLOURS.items():
+        text = text.replace(colour, f"var({variable})")
+    return text[text.index("<svg") :]
 
 
 def png(figure: "Figure", dpi: int = 110) -> bytes:
     """Draw a figure as a PNG file."""
+    return _saved(figure, format="png", dpi=dpi)
+
+
+def _saved(figure: "Figure", **how: Any) -> bytes:  # noqa: ANN401
     buffer = io.BytesIO()
     with warnings.catch_warnings():
         # Names of drives can contain letters that the font lacks.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        figure.savefig(buffer, format="png", dpi=dpi)
+        figure.savefig(buffer, **how)
     return buffer.getvalue()
 
 

@@ -21,6 +21,10 @@ _MOST_STEPS: Final = 100  # A clock that steps more often is no clock.
 #: Longest delay of a network. Stamps that are older are of another clock.
 _LONGEST_DELAY_S: Final = 60.0
 _SHORTEST: Final = 0.01  # Quantile of the delays that is the shortest, without outliers.
+#: Units of times that are not seconds, and periods of cameras that show them.
+_UNITS: Final = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
+_FASTEST_S: Final = 1.0 / 60.0
+_SLOWEST_S: Final = 1.0
 _NOTABLE_S: Final = 0.1  # Smallest offset of clocks that changes which frame a tick shows.
 
 
@@ -46,13 +50,14 @@ class Times:
         known = np.flatnonzero(self.stamps_s > 0.0)
         stamps_s = self.stamps_s[known]
         received_s = self.received_s[known]
+        found: list[str] = []
         for at in _steps(stamps_s, received_s):
             by_s = np.diff(received_s)[at - 1] - np.diff(stamps_s)[at - 1]
             stamps_s[at:] += by_s
-            tally.say(
-                f"{self.topic}: its clock steps by {-by_s:.1f} s, "
-                f"{stamps_s[at] - stamps_s[0]:.1f} s after the first message; rejoined"
+            found.append(
+                f"by {-by_s:.1f} s, {stamps_s[at] - stamps_s[0]:.1f} s after the first message"
             )
+        tally.say_all(f"{self.topic}: rejoined, as its clock steps", found)
         self.stamps_s[known] = stamps_s
 
     @property
@@ -107,6 +112,7 @@ def captured(streams: list[Times], tally: Tally) -> list[Array]:
 
 def rejoin(streams: list[Times], tally: Tally) -> None:
     """Undo steps of the recorder's clock, in all streams at the same message."""
+    steps: list[str] = []
     for _ in range(_MOST_STEPS):
         found = [
             (stream.numbers[at], stream, at)
@@ -114,7 +120,7 @@ def rejoin(streams: list[Times], tally: Tally) -> None:
             if (at := _set_back(stream.received_s))
         ]
         if not found:
-            return
+            break
         number, first, at = min(found, key=lambda step: int(step[0]))
         times_s = first.received_s
         before_s = [
@@ -127,10 +133,8 @@ def rejoin(streams: list[Times], tally: Tally) -> None:
         for stream in streams:
             stream.shift(number, by_s)
         begin_s = min(stream.received_s[0] for stream in streams)
-        tally.say(
-            f"the clock is set back by {by_s:.1f} s, {due_s - begin_s:.1f} s after the first "
-            "message; rejoined"
-        )
+        steps.append(f"by {by_s:.1f} s, {due_s - begin_s:.1f} s after the first message")
+    tally.say_all("rejoined: the clock is set back", steps)
 
 
 def in_order(times_s: Array, tally: Tally) -> Array:
@@ -138,6 +142,17 @@ def in_order(times_s: Array, tally: Tally) -> Array:
     times = Times("times", np.arange(times_s.size), times_s.copy(), np.full(times_s.size, np.nan))
     rejoin([times], tally)
     return times.received_s
+
+
+def seconds_of(times_s: Array, tally: Tally) -> Array:
+    """Return the times of frames in seconds, from the unit in which they are those of a camera."""
+    later = np.diff(times_s)
+    usual = float(np.median(later[later > 0.0])) if (later > 0.0).any() else 0.0
+    for unit, name in _UNITS.items():
+        if _FASTEST_S <= usual / unit <= _SLOWEST_S:
+            tally.say(f"times are in {name} (a frame each {usual:.0f}); converted to seconds")
+            return times_s / unit
+    return times_s
 
 
 def _steps(stamps_s: Array, received_s: Array) -> Iterator[int]:

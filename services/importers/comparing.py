@@ -25,9 +25,10 @@ from services.importers.ticks import (
     Moves,
     motion_along,
     moving,
+    tracked,
 )
-from services.importers.views import lateness_s, views_go_on
-from smal.movement import placed, seen_from, wrapped
+from services.importers.views import ViewChanges, views_go_on
+from smal.movement import in_degrees, placed, seen_from, wrapped
 
 #: Times the usual speed that no robot exceeds from one pose to the next.
 _REACH: Final = 3.0
@@ -51,10 +52,18 @@ _NOTABLE: Final = 3.0  # Ratio of the lengths of two ways, or seconds of standin
 
 def sound(drive: ImportedDrive, tally: Tally) -> list[ImportedDrive]:
     """Return a drive with sound odometry, in parts if a repair is uncertain."""
+    return [_as_seen(part, tally) for part in _repaired(drive, tally)]
+
+
+def _repaired(drive: ImportedDrive, tally: Tally) -> list[ImportedDrive]:
+    """Return a drive whose odometry agrees with itself and with the velocities."""
     drive = _without_pauses(drive, tally)
     if not len(drive.track):
         return [drive]
     moves = _reference(drive)
+    if in_degrees(drive.track[:, 1:]) or _turns_in_degrees(drive.track, moves):
+        tally.say(f"{drive.called}: the headings are in degrees; converted to radians")
+        drive = replace(drive, track=drive.track * (1.0, 1.0, 1.0, np.radians(1.0)))
     kept = _kept_strands(drive, moves, tally)
     track = drive.track[kept.rows]
     if moves is not None:
@@ -63,28 +72,57 @@ def sound(drive: ImportedDrive, tally: Tally) -> list[ImportedDrive]:
         if wrong:
             tally.say(f"{drive.called}: {wrong}; odometry is computed from the velocities")
             way = np.column_stack([drive.track[:, 0], moves.way(drive.track[:, 0])])
-            return [replace(drive, track=way)]
+            return [replace(drive, track=way, reckoned=True)]
         _report_standing(drive, windows, tally)
         track[:, 1:3] *= _scale(drive, windows, tally)
     elif not len(track):
         tally.say(f"{drive.called}: the odometry is no path; it is left out")
-    parts = _joined(replace(drive, track=track), kept.breaks, moves, tally)
-    return [_in_time(part, tally) for part in parts]
+    return _joined(replace(drive, track=track), kept.breaks, moves, tally)
 
 
-def _in_time(drive: ImportedDrive, tally: Tally) -> ImportedDrive:
-    """Return a drive whose images have the times at which the odometry moves as they do.
+def _as_seen(drive: ImportedDrive, tally: Tally) -> ImportedDrive:
+    """Return a drive whose odometry and velocities move when, and turn to where, its views do.
 
     Without velocities, the motion is that of the odometry.
     """
-    late_s = lateness_s(drive)
+    seen = ViewChanges.of(drive)
+    measured = len(drive.track) > 0 and not drive.reckoned
+    late_s = seen.lateness_s(drive.track) if measured else 0.0
     if late_s:
         tally.say(
             f"{drive.called}: the images are {late_s:.1f} s late, as the view turns after the "
             "odometry; aligned"
         )
     motion = drive.motion if len(drive.motion) else motion_along(drive.track)
-    return replace(drive, times_s=drive.times_s - late_s, motion=motion)
+    drive = replace(drive, times_s=drive.times_s - late_s, motion=motion)
+    return _on_its_side(drive, seen._replace(times_s=seen.times_s - late_s), tally)
+
+
+def _on_its_side(drive: ImportedDrive, seen: ViewChanges, tally: Tally) -> ImportedDrive:
+    """Mirror the odometry or the velocities if they alone turn to the other side than the views."""
+    begin_s, end_s = seen.times_s
+    moves = Moves(drive.motion)
+    turns = {"velocities": (moves.until(end_s) - moves.until(begin_s))[:, 1]}
+    if len(drive.track):
+        turned = tracked(drive.track, end_s)[0] - tracked(drive.track, begin_s)[0]
+        turns["odometry"] = wrapped(turned[:, 2])
+    against = [name for name, turned in turns.items() if seen.contradict(turned)]
+    if len(against) == len(turns):
+        tally.say(
+            f"{drive.called}: the views turn to the other side than the robot; if the camera is "
+            "upside down, give --rotate 180; if turns to the right are positive, negate them "
+            "(--turn-rate -1)"
+        )
+    elif against:
+        tally.say(
+            f"{drive.called}: turns of the {against[0]} are to the other side than those of the "
+            "views; mirrored"
+        )
+        if "odometry" in against:
+            drive = replace(drive, track=drive.track * (1.0, 1.0, -1.0, -1.0))
+        else:
+            drive = replace(drive, motion=drive.motion * (1.0, 1.0, -1.0))
+    return drive
 
 
 def _without_pauses(drive: ImportedDrive, tally: Tally) -> ImportedDrive:
@@ -133,6 +171,18 @@ def _reference(drive: ImportedDrive) -> Moves | None:
         if moving(motion).any():
             return Moves(motion)
     return None
+
+
+def _turns_in_degrees(track: Array, moves: Moves | None) -> bool:
+    """Return whether headings turn as many degrees as the velocities turn radians."""
+    times_s = np.arange(track[0, 0], track[-1, 0], _WINDOW_S)
+    if moves is None or times_s.size < 2:
+        return False
+    turned = np.abs(np.diff(np.interp(times_s, track[:, 0], track[:, 3])))
+    commanded = np.abs(np.diff(moves.until(times_s)[:, 1]))
+    clearly = commanded > _CLEARLY * LEAST_ANGULAR * _WINDOW_S
+    ratio = float(np.median(turned[clearly] / commanded[clearly])) if clearly.any() else 0.0
+    return bool(1.0 / _ROUGHLY < np.radians(ratio) < _ROUGHLY)
 
 
 class _Kept(NamedTuple):

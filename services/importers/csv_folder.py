@@ -16,10 +16,12 @@ from functools import partial
 from itertools import chain
 from typing import Annotated, Final
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from schemas.codec import printable
+from schemas.codec import describe, printable
 from services.importers import layouts
+from services.importers.clocks import seconds_of
 from services.importers.drive import MOST_SAMPLES, POSE, ImportedDrive, ImportFailure, Reads, Tally
 from services.importers.images import Row, drive_of
 from services.importers.inside import Inside
@@ -30,6 +32,7 @@ NAME: Final = "drive.csv"
 VELOCITY: Final = ("linear_m_s", "angular_rad_s")
 COLUMNS: Final = ("episode", "image", "time_s", *VELOCITY, "success", *POSE)
 _TEXTS: Final = ("episode", "image")
+_BEYOND: Final = ""  # Key of the cells of a row that have no column.
 
 
 class _Line(BaseModel):
@@ -84,6 +87,11 @@ def _reads(inside: Inside, name: str, job: ImportJob, tally: Tally) -> Reads:
         if line.success is not None:
             arrived[line.episode] = line.success
     every = [row for rows in episodes.values() for row in rows]
+    times_s = iter(seconds_of(np.array([row.time_s for row in every]), tally).tolist())
+    episodes = {
+        name: [row._replace(time_s=next(times_s)) for row in rows]
+        for name, rows in episodes.items()
+    }
     if not every:
         raise ImportFailure(f"{inside.called(name)}: no row has an image, a time and velocities")
     shown = None if every[0].image else Film(inside, films[0], list(episodes.values()), tally).part
@@ -111,25 +119,27 @@ def _lines(
         for number, values in enumerate(table):
             if number >= MOST_SAMPLES:
                 raise ImportFailure(f"{called}: too large (more than {MOST_SAMPLES} rows)")
-            line = _line(values, needed, None if rate_hz is None else number / rate_hz)
-            if line is not None:
-                yield line
-            else:
+            try:
+                yield _line(values, needed, None if rate_hz is None else number / rate_hz)
+            except ValueError as error:
+                why = describe(error) if isinstance(error, ValidationError) else str(error)
+                tally.say_first("row", f"{called}: row {number + 1}: {why}")
                 tally.count("rows lack an image or a number")
     except csv.Error as error:
         raise ImportFailure(f"{called}: not CSV: {error}") from None
 
 
-def _line(values: dict[str, str], needed: set[str], time_s: float | None) -> _Line | None:
-    """Parse a row of the table; return None if it is incomplete."""
+def _line(values: dict[str, str], needed: set[str], time_s: float | None) -> _Line:
+    """Parse a row of the table; ValueError if it is incomplete."""
+    if any(values.get(_BEYOND, ())):
+        raise ValueError("more cells than columns; if numbers have commas, separate by semicolons")
     filled = {column: values[column] for column in COLUMNS if values.get(column)}
     # A spreadsheet in Europe writes 0,5 for 0.5.
     filled |= {key: filled[key].replace(",", ".") for key in filled if key not in _TEXTS}
     filled |= {} if time_s is None else {"time_s": str(time_s)}
-    try:
-        return _Line.model_validate(filled) if needed <= filled.keys() else None
-    except ValidationError:
-        return None
+    if lacks := sorted(needed - filled.keys()):
+        raise ValueError(f"no {', '.join(lacks)}")
+    return _Line.model_validate(filled)
 
 
 def _needed(
@@ -157,7 +167,7 @@ def _table(inside: Inside, name: str) -> "csv.DictReader[str]":
     if header.lower().startswith("sep="):  # A line that Excel adds.
         header = next(text, "")
     delimiter = max(",;\t", key=header.count)
-    return csv.DictReader(chain([header], text), delimiter=delimiter)
+    return csv.DictReader(chain([header], text), restkey=_BEYOND, delimiter=delimiter)
 
 
 def _text(inside: Inside, name: str) -> Iterator[str]:

@@ -61,6 +61,7 @@ class ImportedDrive:
     twist: Array = field(default_factory=lambda: np.zeros((0, 3)))
     camera: Camera | None = None  # None if unknown.
     metric: bool = True  # Whether velocities are in metres and radians per second.
+    reckoned: bool = False  # Whether the track is computed from the velocities.
 
     @property
     def called(self) -> str:
@@ -106,6 +107,7 @@ class Tally:
 
     counts: Counter[str] = field(default_factory=Counter)  # By the text of the defect.
     remarks: list[str] = field(default_factory=list)
+    _first: set[str] = field(default_factory=set)  # Subjects with a remark.
 
     def count(self, what: str, times: int = 1) -> None:
         """Count a defect, for example "images that are damaged"."""
@@ -116,6 +118,12 @@ class Tally:
         """Add a remark once."""
         if remark not in self.remarks:
             self.remarks.append(remark)
+
+    def say_first(self, subject: str, remark: str) -> None:
+        """Add a remark if it is the first on a subject."""
+        if subject not in self._first:
+            self._first.add(subject)
+            self.say(remark)
 
     def say_all(self, what: str, places: list[str]) -> None:
         """Add a remark on all places where something is so, if any."""

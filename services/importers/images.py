@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.camera import CompressedImage
+from schemas.codec import printable
 from services.importers.clocks import in_order
 from services.importers.drive import (
     Array,
+    Image,
     Images,
     ImportedDrive,
     ImportFailure,
@@ -18,8 +20,8 @@ from services.importers.drive import (
     Tally,
 )
 from services.importers.inside import Inside
-from services.kit.jpeg import encode_jpeg, jpeg_size, shrunk
-from services.kit.pixels import ENCODINGS, FORMATS, BitDepth, decode_file, is_upright, rgb_of
+from services.kit.jpeg import decode_jpeg, encode_jpeg, jpeg_size, shrunk
+from services.kit.pixels import ENCODINGS, BitDepth, decode_file, format_of, is_upright, rgb_of
 
 MOST_BYTES: Final = CompressedImage.max_bytes - 2**16  # Maximum size of an image file, bytes.
 _MOST: Final = (4096, 3072)  # Maximum columns and rows of a recorded image.
@@ -39,11 +41,13 @@ def as_jpeg(data: bytes, tally: Tally, depth: BitDepth, announced: str = "") -> 
     """
     if len(data) > MOST_BYTES:
         raise NotAnImage("images are larger than 16 MiB")
-    form = next((name for start, name in FORMATS.items() if data.startswith(start)), "other")
+    form = format_of(data)
     pixels = decode_file(data, depth)
     if pixels is None:
-        named = f" ({announced[:60]})" if announced else ""
-        raise NotAnImage(f"images are damaged, or have a format that OpenCV cannot decode{named}")
+        named = printable(announced[:60] or form)
+        raise NotAnImage(
+            f"images ({named}) are damaged, or OpenCV cannot decode them; convert them to JPEG"
+        )
     if form != "JPEG":
         tally.count(_CONVERTED.format(form))
     elif not is_upright(data):
@@ -92,6 +96,15 @@ def _recorded_width(pixels: NDArray[np.uint8]) -> int:
     return recorded
 
 
+def rotated(images: Images, clockwise_deg: int) -> Images:
+    """Return images turned clockwise by a multiple of 90 degrees."""
+    return lambda: (partial(_rotated, image, clockwise_deg) for image in images())
+
+
+def _rotated(image: Image, clockwise_deg: int) -> bytes:
+    return raw_as_jpeg(np.rot90(decode_jpeg(image()), -clockwise_deg // 90))
+
+
 class Row(NamedTuple):
     """A frame: image file, time, velocity (speed ahead, turn rate), and pose by odometry."""
 
@@ -119,6 +132,7 @@ def drive_of(
 
     The images are the files of the rows, or, with their times, those that ``shown`` returns.
     """
+    rows = _distinct(rows, tally) if shown is None else rows
     times_s = in_order(np.array([row.time_s for row in rows]), tally)
     rows = [rows[at]._replace(time_s=times_s[at]) for at in np.argsort(times_s, kind="stable")]
     if shown is None:
@@ -140,6 +154,12 @@ def drive_of(
     )
 
 
+def _distinct(rows: Sequence[Row], tally: Tally) -> Sequence[Row]:
+    distinct = {(row.image, row.time_s): row for row in rows}
+    tally.count("rows are repeated (read once)", len(rows) - len(distinct))
+    return list(distinct.values())
+
+
 def files(names: Sequence[str], inside: Inside, tally: Tally) -> Images:
     """Return the image files of a folder as JPEG."""
     depth = BitDepth()
@@ -150,7 +170,5 @@ def _image(inside: Inside, name: str, tally: Tally, depth: BitDepth) -> bytes:
     try:
         return as_jpeg(inside.read(inside.spelled(name), MOST_BYTES), tally, depth)
     except ImportFailure as error:
-        # One remark names the reason.
-        if not tally.counts[_UNREAD]:
-            tally.say(str(error))
+        tally.say_first(_UNREAD, str(error))
         raise NotAnImage(_UNREAD) from None

@@ -58,7 +58,7 @@ class ImportJob(Strict):
     odometry: str | None = None
     rate_hz: _Rate | None = None
     speed: _Rate | None = None
-    turn_rate: _Rate | None = None
+    turn_rate: Annotated[float, Field(ge=-1000.0, le=1000.0)] | None = None  # Below 0: mirrored.
     episodes: tuple[str, ...] = ()
 
     def check_used(self, source: str, *used: str) -> None:
@@ -82,6 +82,7 @@ class ImportReport(Strict):
     turn_rate: float
     metric: bool  # Whether these are metres and radians per second; otherwise units of the source.
     atoms: dict[str, int]
+    field_of_view_deg: float | None = None  # Of the camera, if it is calibrated.
 
 
 def choose(

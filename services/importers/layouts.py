@@ -13,14 +13,18 @@ from pathlib import PurePath
 from typing import Final
 
 import numpy as np
+from pydantic import BaseModel, FiniteFloat, Json, PositiveInt, ValidationError
 from scipy.spatial.transform import Rotation
 
-from schemas.codec import printable
+from schemas.codec import describe, printable
 from services.importers.drive import Array, ImportedDrive, ImportFailure, Reads, Tally
 from services.importers.images import files
 from services.importers.inside import Inside
 from services.importers.job import ImportJob, choose
 from services.importers.trajectory import track_of
+from services.kit.cameras import calibrated
+from services.kit.pixels import decode_file
+from smal.camera import Camera
 
 _RGB: Final = "rgb"
 _LIST: Final = "rgb.txt"
@@ -31,7 +35,18 @@ _CAM: Final = "cam0"
 _DATA: Final = "data.csv"
 _MOST_NUMBERS: Final = 30  # Poses, velocities and the state of the inertial unit.
 _OXTS: Final = "oxts"  # Satellite positions and orientations of KITTI, a file for each image.
+_SENSOR: Final = "sensor.yaml"
+_LENSES: Final = {"radial-tangential": "plumb_bob", "none": "plumb_bob"}
 _EARTH_M: Final = 6_378_137.0
+
+
+class _Sensor(BaseModel):
+    """The calibration in lines of ``sensor.yaml`` of EuRoC."""
+
+    resolution: Json[tuple[PositiveInt, PositiveInt]]
+    intrinsics: Json[tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]]
+    distortion_model: str = "plumb_bob"
+    distortion_coefficients: Json[tuple[FiniteFloat, ...]] = ()
 
 
 def found(inside: Inside) -> bool:
@@ -116,7 +131,8 @@ def _kitti(
     except ValueError:
         raise ImportFailure(f"{inside.called(poses)}: invalid: not matrices of rotations") from None
     placed = np.column_stack([times_s[:count], matrices[:count, :, 3], turns])
-    return _drive(inside, folder, times_s[:count], images[:count], placed, tally)
+    lens = _kitti_lens(inside, f"{folder}calib.txt", f"P{camera[-1]}", images, tally)
+    return _drive(inside, folder, times_s[:count], images[:count], placed, tally, lens)
 
 
 def _kitti_raw(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDrive]:
@@ -132,7 +148,27 @@ def _kitti_raw(inside: Inside, job: ImportJob, tally: Tally) -> list[ImportedDri
     turns = Rotation.from_euler("ZYX", rows[:, [5, 4, 3]]).as_quat()
     poses = np.column_stack([_dates(inside, f"{_OXTS}/timestamps.txt", len(rows)), places, turns])
     times_s = _dates(inside, f"{camera}/timestamps.txt", len(images))
-    return _drive(inside, "", times_s, images, poses, tally)
+    lens = _kitti_lens(inside, "calib_cam_to_cam.txt", f"P_rect_0{camera[-1]}", images, tally)
+    return _drive(inside, "", times_s, images, poses, tally, lens)
+
+
+def _kitti_lens(
+    inside: Inside, path: str, name: str, images: Sequence[str], tally: Tally
+) -> Camera | None:
+    """Return the camera of a line of a calibration of rectified images; None without a file."""
+    if PurePath(path).name not in inside.names(path.rpartition("/")[0]):
+        return None
+    rows = [line.split() for line in _lines(inside, path)]
+    row = next((row[1:] for row in rows if row[0].rstrip(":") == name), [])
+    try:
+        pixels = decode_file(inside.read(images[0]))
+        if pixels is None or len(row) != 12:
+            raise ValueError(f"no 12 numbers of {name}")
+        focal, column, line = (float(row[at]) for at in (0, 2, 6))
+        return calibrated((pixels.shape[1], pixels.shape[0]), (focal, column, line))
+    except (ValueError, IndexError) as error:
+        tally.say(f"{inside.called(path)}: calibration not used: {printable(str(error))}")
+        return None
 
 
 def _dates(inside: Inside, name: str, count: int) -> Array:
@@ -157,7 +193,27 @@ def _euroc(inside: Inside, folder: str, job: ImportJob, tally: Tally) -> list[Im
     usual = [name for name in tables if "groundtruth" in name] or tables
     table = _table(inside, _only(inside, usual, 8, _MOST_NUMBERS, ","), 8, ",")
     placed = np.column_stack([table[:, 0] / 1e9, table[:, [1, 2, 3, 5, 6, 7, 4]]])
-    return _drive(inside, "", _times(inside, listed, ",") / 1e9, images, placed, tally)
+    lens = _euroc_lens(inside, camera, tally)
+    return _drive(inside, "", _times(inside, listed, ",") / 1e9, images, placed, tally, lens)
+
+
+def _euroc_lens(inside: Inside, folder: str, tally: Tally) -> Camera | None:
+    """Return the camera of a ``sensor.yaml``; None without this file."""
+    if _SENSOR not in inside.names(folder):
+        return None
+    name = f"{folder}/{_SENSOR}"
+    try:
+        lines = (line.partition(":") for line in _lines(inside, name))
+        sensor = _Sensor.model_validate({key.strip(): value.strip() for key, _, value in lines})
+        focal, _, column, row = sensor.intrinsics
+        lens = _LENSES.get(sensor.distortion_model, sensor.distortion_model)
+        return calibrated(
+            sensor.resolution, (focal, column, row), lens, sensor.distortion_coefficients
+        )
+    except ValueError as error:
+        why = describe(error) if isinstance(error, ValidationError) else str(error)
+        tally.say(f"{inside.called(name)}: calibration not used: {printable(why)}")
+        return None
 
 
 def _camera(inside: Inside, folder: str, start: str, job: ImportJob) -> str:
@@ -169,7 +225,13 @@ def _camera(inside: Inside, folder: str, start: str, job: ImportJob) -> str:
 
 
 def _drive(
-    inside: Inside, folder: str, times_s: Array, images: Sequence[str], poses: Array, tally: Tally
+    inside: Inside,
+    folder: str,
+    times_s: Array,
+    images: Sequence[str],
+    poses: Array,
+    tally: Tally,
+    camera: Camera | None = None,
 ) -> list[ImportedDrive]:
     track = track_of(poses, tally)
     tally.say("velocities are computed from poses")
@@ -184,13 +246,13 @@ def _drive(
             f"({track[0, 0]:.1f} to {track[-1, 0]:.1f} s); both need the same clock"
         )
     shown = files([images[row] for row in rows], inside, tally)
-    return [ImportedDrive.of_rows(name, times_s[rows], shown, [], track, tally)]
+    return [ImportedDrive.of_rows(name, times_s[rows], shown, [], track, tally, camera=camera)]
 
 
 def _lines(inside: Inside, name: str) -> Iterator[str]:
     """Yield the lines of a text file without comments."""
-    texts = (line.decode(errors="replace").strip() for line in inside.lines(name))
-    return (text for text in texts if text and not text.startswith("#"))
+    texts = (line.decode(errors="replace").partition("#")[0] for line in inside.lines(name))
+    return filter(None, map(str.strip, texts))
 
 
 def _width(inside: Inside, name: str, delimiter: str | None = None) -> int:

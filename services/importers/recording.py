@@ -16,11 +16,10 @@ from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.motion import Odometry
 from services.importers.drive import POSE, Array, ImportedDrive, ImportFailure, NotAnImage, Tally
-from services.importers.images import raw_as_jpeg
 from services.importers.job import ImportJob
 from services.importers.ticks import Moves, Nominal, Ticks, odometry, shares_of, ticks
 from services.kit.cameras import camera_info, turned
-from services.kit.jpeg import decode_jpeg, jpeg_size
+from services.kit.jpeg import jpeg_size
 from services.recordings.writer import EpisodeWriter
 from smal.camera import Camera
 from smal.movement import wrapped
@@ -37,6 +36,7 @@ class Written(NamedTuple):
     atoms: Counter[str]
     with_odometry: bool
     success: bool
+    camera: Camera | None
 
 
 def write(
@@ -47,7 +47,7 @@ def write(
     ``advance`` is called for each frame. An error leaves no file behind.
     """
     shown = ticks(drive.times_s, job.from_s, job.to_s, tally)
-    images = _images(drive, shown, tally, advance, job.rotate_deg)
+    images = _images(drive, shown, tally, advance)
     begin = list(islice(images, _LEAST_FRAMES))
     if len(begin) < _LEAST_FRAMES:
         tally.count("drives have fewer than two usable frames (left out)")
@@ -67,7 +67,7 @@ def write(
     path = writer.seal()
     if writer.problem is not None:
         raise ImportFailure(f"{path}: cannot be written: {writer.problem}")
-    return Written(path, episode.atoms, episode.poses is not None, episode.success)
+    return Written(path, episode.atoms, episode.poses is not None, episode.success, episode.camera)
 
 
 class _Episode:
@@ -83,7 +83,7 @@ class _Episode:
         self.poses = _poses(drive, shown.times_s, moves if job.reckon and drive.metric else None)
         self._shares = shares_of(moves.velocities(shown.times_s), usual)
         field_deg = job.field_of_view_deg
-        self._camera = drive.camera if field_deg is None else Camera.of_field(field_deg)
+        self.camera = drive.camera if field_deg is None else Camera.of_field(field_deg)
         self._job = job
         self._shown = shown
         self._name = name
@@ -108,8 +108,8 @@ class _Episode:
         cause = self._header(row)
         width, height = jpeg_size(jpeg) or (0, 0)
         yield CompressedImage.after(cause, width=width, height=height, data=jpeg)
-        if self._camera is not None and not self.atoms:
-            yield camera_info(cause, self._turned(self._camera, width, height), width, height)
+        if self.camera is not None and not self.atoms:
+            yield camera_info(cause, self._turned(self.camera, width, height), width, height)
         if self.poses is not None and not np.isnan(self.poses[row, 0]):
             pose = self.poses[row].round(_DIGITS).tolist()
             yield Odometry.after(cause, **dict(zip(_ODOMETRY, pose, strict=True)))
@@ -141,9 +141,8 @@ def _images(
     shown: Ticks,
     tally: Tally,
     advance: Callable[[], None],
-    rotate_deg: int,
 ) -> Iterator[tuple[int, bytes]]:
-    """Yield each row of the ticks with its JPEG, turned clockwise, except unusable frames."""
+    """Yield each row of the ticks with its JPEG, except unusable frames."""
     rows = np.searchsorted(shown.frames, np.arange(drive.times_s.size + 1)).tolist()
     for frame, image in enumerate(drive.images()):
         advance()
@@ -151,8 +150,6 @@ def _images(
             continue
         try:
             jpeg = image()
-            if rotate_deg:
-                jpeg = raw_as_jpeg(np.rot90(decode_jpeg(jpeg), -rotate_deg // 90))
         except NotAnImage as error:
             tally.count(str(error))
             continue

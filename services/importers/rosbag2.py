@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.codec import printable
 from services.importers.bags import Received, bags_of, decoded, received
 from services.importers.drive import Image, ImportedDrive, ImportFailure, NotAnImage, Reads, Tally
 from services.importers.images import ros_as_jpeg
@@ -33,9 +32,7 @@ def read(inside: Inside, job: ImportJob, tally: Tally) -> Reads:
     job.check_used("a bag", "camera", "velocity", "odometry", "speed", "turn_rate")
     bags = bags_of(inside)
     if not bags:
-        packed = [name for name in inside.names() if name.endswith(".zstd")][:1]
-        advice = "".join(f"; unpack {printable(name)} first: zstd -d" for name in packed)
-        raise ImportFailure(f"{inside.path}: no *.mcap, *.db3 or *.bag in this folder{advice}")
+        raise ImportFailure(f"{inside.path}: no *.mcap, *.db3 or *.bag in this folder")
     return {name: partial(_drives, inside, name, bags[name], job, tally) for name in bags}
 
 

@@ -9,6 +9,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -19,6 +20,7 @@ from schemas.base import ATOMS
 from schemas.codec import printable
 from services.importers.comparing import sound
 from services.importers.drive import ImportedDrive, ImportFailure, Reads, Tally
+from services.importers.images import rotated
 from services.importers.inside import Inside
 from services.importers.job import FORMATS, Format, ImportJob, ImportReport, OdometryOrigin
 from services.importers.recording import Written, write
@@ -32,6 +34,8 @@ _READERS: Final[dict[Format, str]] = {form: form for form in FORMATS} | {
     "rosbag1": "rosbag2",
 }
 MOST_MEMORY: Final = 2 * 2**30  # In bytes; the numbers of the longest drive take a quarter.
+_ARCHIVES: Final = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar", ".zst", ".zstd")
+_MOST_TURN: Final = 10.0  # Radians per second; a wheeled robot that turns on the spot does 5.
 _PERIOD_S: Final = 0.1  # Between two reports of progress, seconds.
 
 
@@ -46,11 +50,16 @@ def run(
         If the source cannot be read, or the recordings cannot be written.
     """
     try:
-        read = _drives(job, tally)
+        read = [_rotated(drive, job) for drive in _drives(job, tally)]
         counts = tally.counts.copy()
         drives = _gathered([partial(sound, drive, tally) for drive in read], tally)
         tally.counts = counts  # The writer counts the compared images as it reads them again.
         usual = nominal(np.concatenate([drive.motion[:, 1:] for drive in drives]), job.quantile)
+        if usual.angular > _MOST_TURN and all(drive.metric for drive in drives):
+            raise ImportFailure(
+                f"{job.path}: usual turn rate too large ({usual.angular:.0f} rad/s, maximum "
+                f"{_MOST_TURN:g}); if it is in degrees per second, give --turn-rate 0.0174533"
+            )
         total = sum(drive.times_s.size for drive in drives)
         found = [write(drive, job, usual, tally, lambda: advance(total)) for drive in drives]
         written = [one for one in found if one is not None]
@@ -80,6 +89,12 @@ def _drives(job: ImportJob, tally: Tally) -> list[ImportedDrive]:
             f"{job.path}: episodes {', '.join(job.episodes)} not found; choose from {names}"
         )
     return drives
+
+
+def _rotated(drive: ImportedDrive, job: ImportJob) -> ImportedDrive:
+    if not job.rotate_deg:
+        return drive
+    return replace(drive, images=rotated(drive.images, job.rotate_deg))
 
 
 def _leads(name: str, episodes: Sequence[str]) -> bool:
@@ -120,6 +135,10 @@ def _reads(inside: Inside, job: ImportJob, tally: Tally) -> Reads:
             f"{inside.path}: not of the format {job.format}; run: smal import {others[0]} "
             f"{inside.path}"
         )
+    if packed := next(filter(_is_archive, [inside.path.name, *inside.names()]), None):
+        raise ImportFailure(
+            f"{inside.path}: nothing of the format {job.format}; unpack {printable(packed)} first"
+        )
     if not inside.is_folder:
         raise ImportFailure(
             f"{inside.path}: a file, not of the format {job.format}; to import its folder, run: "
@@ -133,13 +152,18 @@ def _reads(inside: Inside, job: ImportJob, tally: Tally) -> Reads:
         raise ImportFailure(f"{error}; files there: {named}") from None
 
 
+def _is_archive(name: str) -> bool:
+    return name.lower().endswith(_ARCHIVES)
+
+
 def _report(
     drives: Sequence[ImportedDrive], written: Sequence[Written], usual: Nominal
 ) -> ImportReport:
     made = sum((one.atoms for one in written), Counter[str]())
+    camera = next((one.camera for one in written), None)
     odometry: OdometryOrigin = "none"
     if any(one.with_odometry for one in written):
-        tracked = any(drive.track.size for drive in drives)
+        tracked = any(drive.track.size and not drive.reckoned for drive in drives)
         odometry = "of the source" if tracked else "computed from velocities"
     return ImportReport(
         files=tuple(str(one.path) for one in written),
@@ -150,6 +174,7 @@ def _report(
         turn_rate=usual.angular,
         metric=all(drive.metric for drive in drives),
         atoms={name: made[name] for name in ATOMS},
+        field_of_view_deg=None if camera is None else camera.field_deg,
     )
 
 

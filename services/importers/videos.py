@@ -94,6 +94,8 @@ class Film:
             self._clock_s = self._clock_s + begin_s
         within = self._within(min(spans_s)[0], max(end_s for _, end_s in spans_s))
         tally.count("frames of the video have no row (left out)", self._clock_s.size - within.size)
+        late = [row for rows in episodes for row in rows if row.time_s > self._clock_s[-1] + HOLD_S]
+        tally.count("rows are later than the end of the video (left out)", len(late))
 
     def part(self, rows: Sequence[Row]) -> tuple[Array, Images]:
         """Return the times and the images of the frames of rows, or else within their times."""

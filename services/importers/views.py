@@ -2,7 +2,7 @@
 
 from collections.abc import Collection
 from itertools import islice, pairwise
-from typing import Final
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 
@@ -23,6 +23,10 @@ _SHORT_S: Final = 0.25
 #: Least share of the changes that the movement explains at the right delay. In 22 drives of the
 #: simulator it is 0.49 or more, and 0.13 or less at delays that differ by more than 0.5 s.
 _EXPLAINED: Final = 0.3
+_MOST_SHIFT: Final = 1.5  # Columns; the linear estimate is wrong beyond.
+#: Correlation between shifts of the view and turns below which they are to opposite sides. In
+#: drives of three real cars and the simulator it is 0.16 to 0.93.
+_OPPOSITE: Final = -0.5
 
 
 def views_go_on(drive: ImportedDrive, times_s: Array) -> list[bool]:
@@ -37,29 +41,54 @@ def views_go_on(drive: ImportedDrive, times_s: Array) -> list[bool]:
     return [_goes_on(views, frames, at) for frames, at in zip(beside, middles, strict=True)]
 
 
-def lateness_s(drive: ImportedDrive) -> float:
-    """Return by how many seconds the images are late, 0 if that is uncertain.
+class ViewChanges(NamedTuple):
+    """Changes from a view to the next, in the first minute of a drive."""
 
-    A view changes as much as the robot turns and drives. The delay at which the odometry explains
-    the changes is found by least squares; it is certain if other delays explain less than half.
-    """
-    frames = range(min(drive.times_s.size, _MOST_FRAMES))
-    if not len(drive.track) or len(frames) < _LEAST_FRAMES:
-        return 0.0
-    views = _views(drive, frames)
-    changes = _changes(views, frames)
-    # After a damaged frame a change is over two periods.
-    at = [frame for frame in changes if frame - 1 in views]
-    if len(at) < _LEAST_FRAMES:
-        return 0.0
-    times_s = drive.times_s[np.stack([np.subtract(at, 1), at])]
-    changed = np.array([changes[frame] for frame in at])
-    explained = np.array([_explained(changed, drive.track, times_s - late_s) for late_s in _LATE_S])
-    best = int(explained.argmax())
-    late_s = float(_LATE_S[best])
-    others = explained[np.abs(_LATE_S - late_s) > 2.0 * _SHORT_S]
-    certain = explained[best] >= _EXPLAINED and others.max() < explained[best] / 2.0
-    return late_s if certain and abs(late_s) > _SHORT_S else 0.0
+    times_s: Array  # Times of both views, (2, n).
+    changed: Array  # By how much the views differ, (n,).
+    shifted: Array  # Columns by which the view moves to the right, as in a turn to the left, (n,).
+
+    @classmethod
+    def of(cls, drive: ImportedDrive) -> Self:
+        """Compare the views of a drive; the result is empty if there are too few."""
+        views = _views(drive, range(min(drive.times_s.size, _MOST_FRAMES)))
+        # After a damaged frame a change is over two periods.
+        pairs = [
+            (frame, views[frame - 1], view)
+            for frame, view in views.items()
+            if frame - 1 in views and views[frame - 1].shape == view.shape
+        ]
+        pairs = pairs if len(pairs) >= _LEAST_FRAMES else []
+        at = np.array([frame for frame, _, _ in pairs], dtype=np.intp)
+        return cls(
+            drive.times_s[np.stack([at - 1, at])],
+            np.array([_change(earlier, later) for _, earlier, later in pairs]),
+            np.array([_shift(earlier, later) for _, earlier, later in pairs]),
+        )
+
+    def lateness_s(self, track: Array) -> float:
+        """Return by how many seconds the images are late, 0 if that is uncertain.
+
+        A view changes as much as the robot turns and drives. The delay at which the odometry
+        explains the changes is found by least squares; it is certain if other delays explain less
+        than half.
+        """
+        if not self.changed.size:
+            return 0.0
+        explained = np.array(
+            [_explained(self.changed, track, self.times_s - late_s) for late_s in _LATE_S]
+        )
+        best = int(explained.argmax())
+        late_s = float(_LATE_S[best])
+        others = explained[np.abs(_LATE_S - late_s) > 2.0 * _SHORT_S]
+        certain = explained[best] >= _EXPLAINED and others.max() < explained[best] / 2.0
+        return late_s if certain and abs(late_s) > _SHORT_S else 0.0
+
+    def contradict(self, turned: Array) -> bool:
+        """Return whether the views certainly turn to the other side than the robot, (n,)."""
+        if not turned.size or not turned.std() or not self.shifted.std():
+            return False
+        return bool(np.corrcoef(self.shifted, turned)[0, 1] < _OPPOSITE)
 
 
 def _explained(changes: Array, track: Array, times_s: Array) -> float:
@@ -78,6 +107,19 @@ def _explained(changes: Array, track: Array, times_s: Array) -> float:
     return 1.0 - float(((changes - causes @ factors) ** 2).sum()) / deviation
 
 
+def _change(earlier: Array, later: Array) -> float:
+    return float(np.abs(later - earlier).mean())
+
+
+def _shift(earlier: Array, later: Array) -> float:
+    """Return by how many columns a view moved to the right, by least squares."""
+    middle = (earlier + later) / 2.0
+    slope = (middle[:, 2:] - middle[:, :-2]) / 2.0
+    change = (later - earlier)[:, 1:-1]
+    shift = -float((slope * change).sum()) / max(float((slope**2).sum()), 1e-9)
+    return min(max(shift, -_MOST_SHIFT), _MOST_SHIFT)
+
+
 def _views(drive: ImportedDrive, wanted: Collection[int]) -> dict[int, Array]:
     images = islice(drive.images(), max(wanted, default=-1) + 1)
     views = {frame: _view(image) for frame, image in enumerate(images) if frame in wanted}
@@ -87,7 +129,7 @@ def _views(drive: ImportedDrive, wanted: Collection[int]) -> dict[int, Array]:
 def _changes(views: dict[int, Array], frames: Collection[int]) -> dict[int, float]:
     """Return by how much each view differs from the one before."""
     return {
-        later: float(np.abs(views[later] - views[earlier]).mean())
+        later: _change(views[earlier], views[later])
         for earlier, later in pairwise(frame for frame in frames if frame in views)
         if views[later].shape == views[earlier].shape
     }

@@ -36,10 +36,21 @@ def camera_of_ros(info: Any) -> Camera:  # noqa: ANN401 - its class is made of i
     if width <= 0 or not k[0] > 0.0:
         raise ValueError("no focal length: the camera is not calibrated")
     distortion = tuple(float(one) for one in (info.d if hasattr(info, "d") else info.D))
-    lens: Any = info.distortion_model if any(distortion) else info.distortion_model or "plumb_bob"
-    return Camera(
-        k[0] / width, lens, distortion, ((k[2] - width / 2) / width, (k[5] - height / 2) / width)
-    )
+    lens = info.distortion_model if any(distortion) else info.distortion_model or "plumb_bob"
+    return calibrated((width, height), (k[0], k[2], k[5]), lens, distortion)
+
+
+def calibrated(
+    size: tuple[int, int],
+    intrinsics_px: tuple[float, float, float],
+    lens: Any = "plumb_bob",  # noqa: ANN401 - any text of a file
+    distortion: tuple[float, ...] = (),
+) -> Camera:
+    """Return the camera of a calibration: focal length, column and row of the axis, in pixels."""
+    width, height = size
+    focal, column, row = intrinsics_px
+    centre = (column - width / 2) / width, (row - height / 2) / width
+    return Camera(focal / width, lens, distortion, centre)
 
 
 def turned(camera: Camera, aspect: float) -> Camera:

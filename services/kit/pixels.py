@@ -15,6 +15,7 @@ FORMATS: Final = {
     b"\xff\xd8": "JPEG", b"\x89PNG": "PNG", b"RIFF": "WebP", b"BM": "BMP", b"GIF8": "GIF",
     b"II*\0": "TIFF", b"MM\0*": "TIFF", b"P5": "PGM", b"P6": "PPM",
 }  # fmt: skip
+_BRAND: Final = 8  # Position of the format's name in a file of ISO media, such as HEIC and AVIF.
 _BAYER: Final = ("RGGB", "BGGR", "GBRG", "GRBG")
 #: EXIF data of a JPEG stand in the first of its segments, which have at most 64 kB each.
 _EXIF_WITHIN: Final = 2**17
@@ -61,6 +62,13 @@ ENCODINGS: Final = _encodings()
 _SUPPORTED: Final = (
     "rgb, bgr, rgba, bgra, mono and Bayer of 8 or 16 bits, yuv422, uyvy, yuyv, nv12, nv21, i420"
 )
+
+
+def format_of(data: bytes) -> str:
+    """Return the name of an image file's format, or "other"."""
+    if data[4:_BRAND] == b"ftyp":
+        return data[_BRAND : _BRAND + 4].decode("ascii", errors="replace").upper()
+    return next((name for start, name in FORMATS.items() if data.startswith(start)), "other")
 
 
 @dataclass

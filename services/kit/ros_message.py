@@ -14,8 +14,10 @@ LARGEST_BYTES: Final = 3 * MOST_PIXELS + 4096
 
 def heading_of(quaternion: Any) -> float:  # noqa: ANN401 - without types
     """Return the heading of an orientation, radians counter-clockwise; 0 for a zero quaternion."""
-    w, x, y, z = quaternion.w, quaternion.x, quaternion.y, quaternion.z
-    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    q = quaternion
+    sin = 2.0 * (q.w * q.z + q.x * q.y)
+    cos = q.w**2 + q.x**2 - q.y**2 - q.z**2
+    return math.atan2(sin, cos)
 
 
 def ros_message(store: Any, kind: str, fields: Mapping[str, Any] | None = None) -> Any:  # noqa: ANN401 - without types

@@ -4,12 +4,13 @@ import numpy as np
 
 from schemas.camera import DepthImage
 from schemas.motion import Odometry
+from smal.arrays import Float32s
 from smal.obstacles.clearance import Mount, Surroundings
 from smal.robot import surroundings
 
 
 class ObstacleSight:
-    """Surroundings of one episode, from depth images with a mounting and odometry."""
+    """Surroundings of one episode, from odometry, and from depth images with a mounting."""
 
     def __init__(self) -> None:
         self._odometry: Odometry | None = None
@@ -27,24 +28,28 @@ class ObstacleSight:
         """Store a depth image."""
         self._depth = depth
 
-    def around(self, episode: str) -> Surroundings | None:
-        """Return the current surroundings; None without a depth image of the episode."""
+    def around(self, episode: str, radius_m: float = 0.0) -> Surroundings | None:
+        """Return the current surroundings; None without odometry of the episode.
+
+        ``radius_m`` is the radius of a robot without a depth camera, metres. If it is 0, the
+        surroundings begin with a depth image.
+        """
         now = self._odometry
-        depth = self._depth
-        if (
-            now is None
-            or depth is None
-            or depth.mounting is None
-            or not episode == now.episode == depth.episode
-        ):
+        if now is None or episode != now.episode:
             return None
         if episode != self._episode:
             self._episode = episode
             self._around = None
-        # If the image belongs to another frame, only the odometry is used.
-        image = (depth.to_numpy() / 1000.0).astype(np.float32) if depth.tick == now.tick else None
         elapsed_s = now.since(self._stamp_ns) or 0.0
         self._stamp_ns = now.stamp_ns
-        self.mount = Mount(**depth.mounting.model_dump())
-        self._around = surroundings(self._around, now.pose, (image, self.mount), elapsed_s)
+        self._around = surroundings(self._around, now.pose, self._seen(now), elapsed_s, radius_m)
         return self._around
+
+    def _seen(self, now: Odometry) -> tuple[Float32s | None, Mount] | None:
+        """Return the depth image of a pose, and its mount; no image if it belongs to another frame."""
+        depth = self._depth
+        if depth is None or depth.mounting is None or depth.episode != now.episode:
+            return None
+        self.mount = Mount(**depth.mounting.model_dump())
+        image = (depth.to_numpy() / 1000.0).astype(np.float32) if depth.tick == now.tick else None
+        return image, self.mount

@@ -147,7 +147,7 @@ class _ByFilter:
     def answer(self, state: State, delay_s: float, sight: ObstacleSight) -> list[Message]:
         elapsed_s = state.since(self._stamp_ns)
         self._stamp_ns = state.stamp_ns
-        around = sight.around(state.episode)
+        around = sight.around(state.episode, self._planner.radius_m)
         strange = math.inf if state.strange_m is None else state.strange_m
         decision = self._planner.decide(
             belief_of(state), elapsed_s, delay_s, glimpse_of(state), around, strange

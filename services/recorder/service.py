@@ -329,7 +329,7 @@ class RecorderService:
         # A new object, because `detail` can be summing up the old one.
         self._sealed = self._sealed + _figures(writer)
         gaps = "; ".join(
-            f"{topic} lacks frames {ticks}" for topic, ticks in writer.ledger.gaps().items()
+            f"{topic} lacks {count} frames" for topic, count in writer.ledger.missing.items()
         )
         self._node.log.info(
             "%s: %d messages, %.1f MB %s", path, writer.messages, writer.size / 1e6, gaps

@@ -35,6 +35,12 @@ class Teaching:
     #: DriveUse of each episode; learners add the use of the episodes with demonstrations.
     uses: list[DriveUse] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)  # Damage, one per line.
+    worlds: set[str] = field(default_factory=set)  # Worlds of the demonstrations.
+
+    @property
+    def world(self) -> str:
+        """The world of all demonstrations; empty if it is unknown or differs."""
+        return "".join(self.worlds) if len(self.worlds) == 1 else ""
 
     def lines(self) -> list[str]:
         """Return the damage and the episodes that do not teach, one per line."""
@@ -135,6 +141,7 @@ class Teacher:
         except _LeftOut as reason:
             self.teaching.uses.append(DriveUse(episode.episode, episode.frames, 0, str(reason)))
             return
+        self.teaching.worlds.add(episode.world)
         end = int(pieces[0][0])
         for ticks in pieces:
             whole = len(pieces) == 1
@@ -165,8 +172,7 @@ class Teacher:
             del episode.images[tick]
         if damaged:
             self._remark(f"{here}: {len(damaged)} damaged images left out")
-        size = next(filter(None, sizes.values()), None)
-        if size is not None:
+        for size in dict.fromkeys(filter(None, sizes.values())):
             self._check_size(here, size)
 
     def _check_size(self, here: str, size: Size) -> None:

@@ -96,9 +96,17 @@ class Ledger:
         return reach and not self.gap_ticks
 
     @property
+    def missing(self) -> dict[str, int]:
+        """Number of missing messages of each per-tick topic that has gaps."""
+        counts = {
+            topic: self._last[topic] + 1 - ticks.count for topic, ticks in self._ticks.items()
+        }
+        return {topic: count for topic, count in counts.items() if count}
+
+    @property
     def gap_ticks(self) -> int:
         """Number of missing messages of per-tick topics."""
-        return sum(self._last[topic] + 1 - ticks.count for topic, ticks in self._ticks.items())
+        return sum(self.missing.values())
 
     def gaps(self) -> dict[str, str]:
         """Return the missing ticks by topic, for example ``{"camera/jpeg": "3-5 9"}``."""

@@ -123,7 +123,9 @@ class VideoSource:
                 complaint = None
                 with suppress(cv2.error):
                     self._read(capture)
-                self._lacks = f"camera {self._config.source}: ended; is it still plugged in?"
+                file = _is_file(self._config.source)
+                why = "the video begins again" if file else "ended; is it still plugged in?"
+                self._lacks = f"camera {self._config.source}: {why}"
             else:
                 self._lacks = f"camera {self._config.source}: {_why(self._config.source)}"
             capture.release()

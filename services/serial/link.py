@@ -17,6 +17,7 @@ import termios
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Any, Final, TypeAlias
 from urllib.parse import urlsplit
@@ -54,6 +55,8 @@ def opened(address: str, baud: int) -> Port:
     """Open a serial port (a path), tcp://HOST:PORT or udp://HOST:PORT; OSError if it fails."""
     where = urlsplit(address)
     if not where.scheme:
+        if Path(address).exists() and not Path(address).is_char_device():
+            raise OSError(errno.ENOTTY, "not a serial port")
         try:
             return serial.Serial(address, baud, timeout=0, write_timeout=0, exclusive=True)
         except termios.error as error:
@@ -135,7 +138,8 @@ class LineLink:
 
     def _break(self, error: Exception) -> None:
         self._port = None
-        reason = _REASONS.get(getattr(error, "errno", None) or 0, str(error))
+        text = getattr(error, "strerror", None) or str(error)
+        reason = _REASONS.get(getattr(error, "errno", None) or 0, text)
         self._lacks = f"{self._address}: {printable(reason)}"
 
     def _run(self) -> None:

@@ -13,6 +13,7 @@ from typing import Final
 # Without an exponent: parseFloat of Arduino reads -5.55e-17 as -5.55.
 _DEFAULT: Final = ".6f"
 _FIELD: Final = re.compile(r"\{([a-z][a-z0-9_]*)(?:\*([^:{}]+))?(?::([^{}]*))?\}")
+_OPENED: Final = re.compile(r"\{([a-z][a-z0-9_]*)")
 _NUMBER: Final = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
 
 
@@ -29,6 +30,9 @@ class Template:
                 raise ValueError(f"unknown {{{name}}}; known: {', '.join(sorted(known))}")
             self._factors.append(_factor(factor))
             self._formats.append(_format(spec or _DEFAULT))
+        for part in self._parts:
+            if (opened := _OPENED.search(part)) and opened[1] in known:
+                raise ValueError(f"{part[opened.start() :]!r} lacks its closing brace")
         anything = [r".*?".join(map(re.escape, part.split("*"))) for part in self._parts]
         self._pattern = re.compile(_NUMBER.join(anything) + r"\s*")
 

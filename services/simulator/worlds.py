@@ -30,9 +30,9 @@ class SimulatorSettings(RobotSettings, RootSettings):
     operator as with a real robot"""
     world: str = "campus"
     """Name of an included world, or path of an OpenStreetMap or world file"""
-    camera_width: Annotated[int, Field(ge=32, le=4096)] = 1024
+    camera_width: Annotated[int, Field(ge=32, le=4096)] = 320
     """Columns of the camera image"""
-    camera_height: Annotated[int, Field(ge=24, le=3072)] = 768
+    camera_height: Annotated[int, Field(ge=24, le=3072)] = 240
     """Rows of the camera image"""
     shake: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] | None = None
     """Camera shake while the robot drives (0 = off, 1 = slightly uneven floor); by default the

@@ -124,9 +124,12 @@ def check_image(image: Uint8s) -> None:
             f"an image must be an array (height, width, 3), got {type(image).__name__}"
         )
     if image.dtype != np.uint8:
-        raise ValueError(f"an image must be an array of uint8, got {image.dtype}")
+        raise ValueError(f"an image must be an array of uint8 (0 to 255), got {image.dtype}")
     if image.ndim != 3 or image.shape[2] != 3:
-        raise ValueError(f"an image must have the shape (height, width, 3), got {image.shape}")
+        raise ValueError(
+            "an image must have three colours, the shape (height, width, 3), got "
+            f"{image.shape}; repeat a grey image three times"
+        )
     if image.shape[0] < color.ROWS or image.shape[1] < color.COLUMNS:
         raise ValueError(
             f"an image must have at least {color.ROWS} rows and {color.COLUMNS} columns, "

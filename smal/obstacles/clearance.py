@@ -153,7 +153,8 @@ def _tilt(ahead: Floats, across: Floats, up: Floats, valid: Bools) -> Floats:
 class Surroundings:
     """Occupancy grid that moves with a round robot.
 
-    Its axes are the axes of the odometry. Cells are (x, y); the robot is in the middle cell.
+    It holds what depth images show, and what the robot has touched: a robot without a depth camera
+    has the second alone. Its axes are the axes of the odometry. Cells are (x, y); the robot is in the middle cell.
 
     Attributes
     ----------
@@ -164,6 +165,8 @@ class Surroundings:
         of the cell; the other half is for wheels that slip.
     heading
         Heading by the odometry.
+    has_camera
+        Whether the robot has a depth camera, which need not see.
     seen
         Scan of the last image; None if it showed no ground.
     """
@@ -180,8 +183,11 @@ class Surroundings:
         self._grid = Occupancy(offsets.size)
         self._cell: tuple[int, int] | None = None
         self._rest = np.zeros(2)
+        #: Odometry positions (n, 2) that the robot has touched.
+        self._touched = np.zeros((0, 2))
         self._mount: Mount | None = None  # Mount at the last image.
         self.heading = 0.0
+        self.has_camera = False
         self.seen: Scan | None = None
 
     def snapshot(self) -> Self:
@@ -199,8 +205,28 @@ class Surroundings:
         self._rest = np.array([x, y]) - np.multiply(cell, self.cell_m)
         self._forget()
         self._grid.shift((before[0] - cell[0], before[1] - cell[1]))
-        under = self.away_m < self.radius_m - self.cell_m / 2.0
-        self._grid.assume(under, occupied=False, height_m=0.0)
+        under_m = self.radius_m - self.cell_m / 2.0
+        self._grid.assume(self.away_m < under_m, occupied=False, height_m=0.0)
+        # Where the robot stands there is nothing any more.
+        away_m = np.hypot(*(self._touched - (x, y)).T)
+        self._touched = self._touched[(away_m >= under_m) & (away_m < self.reach_m)]
+
+    def touch(self) -> int:
+        """Add an obstacle before the robot, and return how many the robot has touched here.
+
+        The place of contact is unknown. It counts as straight ahead, and as small: if it is aside,
+        the robot touches it again on one way around, and takes the other.
+        """
+        here = np.multiply(self._cell or (0, 0), self.cell_m) + self._rest
+        towards = np.array([math.cos(self.heading), math.sin(self.heading)])
+        self._touched = np.vstack([self._touched, here + self.body_m * towards])
+        self._forget()
+        return len(self._touched)
+
+    def release(self) -> None:
+        """Forget what the robot has touched: it can have left."""
+        self._touched = self._touched[:0]
+        self._forget()
 
     def _forget(self) -> None:
         """Forget the properties that follow from the layers and the pose."""
@@ -220,6 +246,7 @@ class Surroundings:
         ``elapsed_s`` is the time since the image before, seconds; a longer gap counts as a second.
         """
         self.move(pose)
+        self.has_camera = True
         self.seen = None if depth_m is None else scan(depth_m, mount)
         if self.seen is None:
             return False
@@ -299,7 +326,11 @@ class Surroundings:
     @cached_property
     def occupied(self) -> Bools:
         """Cells with an obstacle."""
-        return self._grid.occupied
+        occupied = self._grid.occupied
+        cells = np.rint(self._touched / self.cell_m).astype(np.intp) - (self._cell or (0, 0))
+        near = cells[np.abs(cells).max(axis=1, initial=0) <= self._half] + self._half
+        occupied[near[:, 0], near[:, 1]] = True
+        return occupied
 
     @property
     def unknown(self) -> Bools:
@@ -388,6 +419,7 @@ class Surroundings:
     def free_m(self, ahead: bool, bend: float = 0.0) -> float:
         """Return the distance that the robot can drive ahead, or back, through free cells only.
 
+        Without a depth camera unknown cells ahead count as free; those behind never do.
         It drives in a circle of radius 1 / `bend` (1 / m) with its middle to the left, if positive.
         Moving obstacles, ahead or to a side, can come nearer until the robot stands.
         """
@@ -409,7 +441,8 @@ class Surroundings:
             np.sqrt(half[touches].clip(0.0, 1.0))
         )
         unseen = self.unknown & (np.abs(gap_m) < self.radius_m - self.cell_m)
-        unseen &= (along > 0.0) & ~self._beside_view if ahead else along > self.radius_m
+        ahead_unseen = (along > 0.0) & ~self._beside_view & self.has_camera
+        unseen &= ahead_unseen if ahead else along > self.radius_m
         unseen_m = turned_m[unseen] - self.radius_m
         free_m = np.concatenate([touches_m, unseen_m, [room_m]]).min(initial=self.reach_m)
         return max(0.0, float(free_m) - self.cell_m)

@@ -337,10 +337,11 @@ class Blind(Behaviour):
 
 
 class BackOff(Behaviour):
-    """Back off if the wheels stand although the robot drives; the second time, look around.
+    """Back off the way the robot came if the wheels stand although it drives ahead.
 
-    Only a robot with odometry notices. Without a depth camera it cannot check the space behind, so
-    it looks around at once; a car cannot do this either without driving ahead.
+    The robot has touched something; only a robot with odometry notices. The more often it touches
+    something here, the more likely it is elsewhere: at the second time it looks around, and again
+    whenever the number has doubled.
     """
 
     def __init__(self, chassis: Chassis, look: LookAround) -> None:
@@ -355,8 +356,7 @@ class BackOff(Behaviour):
         """Count the time for which the wheels stand."""
         self._backs_s = max(self._backs_s - now.elapsed_s, 0.0)
         moved = now.belief.moved
-        helpless = now.around is None and self._chassis.car
-        if moved is None or now.motion[0] <= 0.0 or helpless:
+        if moved is None or now.around is None or now.motion[0] <= 0.0:
             return
         commanded = self._chassis.speed * now.motion[0] * now.elapsed_s
         stands = moved < 0.1 * commanded
@@ -364,7 +364,8 @@ class BackOff(Behaviour):
         self._driven += moved
         if self._stands_s < self._chassis.config.stalls_s:
             return
-        self._in_vain = now.around is None or self._driven < self._chassis.lookahead
+        touched = now.around.touch()
+        self._in_vain = touched > 1 and touched.bit_count() == 1
         if self._in_vain:
             self._look.again()
         self._stands_s = 0.0
@@ -415,8 +416,9 @@ class Wait(Behaviour):
     """Drive around an obstacle, or wait before it.
 
     A person waits for the robot while it waits for the person. Therefore the robot backs up after
-    `PlannerConfig.waits_s`. A robot that waits in vain can be elsewhere than estimated: after twice that time it looks
-    around, once. After three times it takes another taught way, if any, for `PlannerConfig.closed_s`.
+    `PlannerConfig.waits_s`, and forgets what it has touched, which can have left. A robot that waits
+    in vain can be elsewhere than estimated: after twice that time it looks around, once. After three
+    times it takes another taught way, if any, for `PlannerConfig.closed_s`.
     Only a robot with odometry that turns on the spot drives around obstacles.
     """
 
@@ -452,6 +454,8 @@ class Wait(Behaviour):
             self._blocked_s += now.elapsed_s
         elif now.motion[0] > 0.0:
             self._blocked_s = 0.0
+        if before == 0 < self._periods and now.around:
+            now.around.release()
         if before == 1 < self._periods:
             self._look.again()
         elif before == 2 < self._periods:
@@ -469,9 +473,11 @@ class Wait(Behaviour):
     def instead_of(self, intent: Intent, now: Situation) -> Intent:
         """Return the intent, or a replacement if an obstacle blocks it."""
         around = self._things(now)
-        if around is None:
-            return self._before_strange_ground(intent, now)
-        return self._among_things(intent, now, around) if intent.motion is None else intent
+        if around is None or not around.has_camera:
+            intent = self._before_strange_ground(intent, now)
+        if around is None or intent.motion is not None:
+            return intent
+        return self._among_things(intent, now, around)
 
     def _things(self, now: Situation) -> Surroundings | None:
         """Return the obstacles if the robot can drive around them; otherwise None."""

@@ -14,6 +14,9 @@ class PlannerConfig:
 
     #: Distance to the aim on the taught way: a shorter one follows noise, a longer one cuts corners.
     lookahead_s: float = 0.7
+    #: Radius of a robot without a depth camera, whose mount would give it. Usual bases drive their
+    #: radius in 0.3 to 0.5 s.
+    radius_s: float = 0.4
     #: Cost of changing the turn rate by the full rate, against oscillation.
     restless_s: float = 0.01
     #: Maximum deviation of the particles' directions from their mean for driving.

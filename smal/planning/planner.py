@@ -103,6 +103,11 @@ class Planner:
         return self._search.arrived
 
     @property
+    def radius_m(self) -> float:
+        """Radius of a robot with odometry whose mount is unknown, metres."""
+        return self._chassis.radius
+
+    @property
     def said(self) -> Said | None:
         """Announced result of the search; None while the robot is under way."""
         return self._mission.said
@@ -130,11 +135,11 @@ class Planner:
             Probability that the target is in view; None without a target detector. The robot then announces "found"
             on arrival by a tracked way.
         around
-            Obstacles around the robot. With odometry, a robot that turns on the spot drives around them. For every
-            robot, an obstacle that has just appeared is not the target.
+            Obstacles around a robot with odometry, which adds what it touches. A robot that turns on the spot drives
+            around them. For every robot, an obstacle that has just appeared is not the target.
         strange
-            Distance to unexpected ground ahead, in the map's unit. A robot that does not drive around obstacles slows
-            down and waits before it.
+            Distance to unexpected ground ahead, in the map's unit. A robot without a depth camera, or that does not
+            drive around obstacles, slows down and waits before it.
         """
         if elapsed_s is None:
             elapsed_s = self._taught.tick_s

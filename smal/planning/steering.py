@@ -68,6 +68,11 @@ class Chassis(NamedTuple):
         """Distance to the aim on the taught way, in the map's unit."""
         return self.config.lookahead_s * self.speed
 
+    @property
+    def radius(self) -> float:
+        """Radius of a robot without a mount, in the map's unit."""
+        return self.config.radius_s * self.speed
+
     def arc(self, linear: Floats | float, angular: Floats | float, time_s: float) -> Floats:
         """Return the pose after velocities (v,) for a time: ahead, left, turned (v, 3)."""
         turned = np.asarray(angular) * self.turn_rad_s * time_s

@@ -99,6 +99,11 @@ def check_features(demonstrations: Sequence[Demonstration], size: int) -> None:
     if not demonstrations:
         raise ValueError("there is no demonstration to learn from")
     for demonstration in demonstrations:
+        if not isinstance(demonstration, Demonstration):
+            raise TypeError(
+                f"a demonstration is needed, got {type(demonstration).__name__}; smal.fit takes "
+                "(images, atoms, odometry), smal.recordings.read(path) reads recordings"
+            )
         features = demonstration.features
         if len(features) and len(features[0]) != size:
             raise ValueError(

@@ -1,6 +1,6 @@
 """Demonstrations from arrays of images, actions and poses, checked before anything is computed."""
 
-import math
+import warnings
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -11,11 +11,12 @@ from smal.camera import Camera, Image
 from smal.features.extraction import check_image
 from smal.features.resizing import same_aspect
 from smal.features.settings import FeatureSettings
-from smal.movement import Atom
+from smal.movement import Atom, in_degrees, is_pose
 from smal.teaching.demonstration import USUAL_GOAL, Demonstration, described
 
-#: Mean cosine between headings and directions of motion by which degrees fit better than radians.
-_CLEARLY: Final = 0.2
+#: Quantile of the steps that is the usual step: it includes steps after lost frames.
+_USUAL: Final = 0.9
+_JUMP: Final = 20.0  # Usual steps that are a jump: two seconds of lost frames at 10 Hz.
 
 
 def demonstrations_of(
@@ -31,9 +32,12 @@ def demonstrations_of(
     ValueError
         If images, actions, poses or goals are invalid. The error names the drive and the frame.
     """
-    goals = [USUAL_GOAL] * len(drives) if goals is None else goals
-    if len(goals) != len(drives):
-        raise ValueError(f"{len(goals)} goals for {len(drives)} drives; give one goal for each")
+    count = _count(drives, "drives")
+    goals = [USUAL_GOAL] * count if goals is None else goals
+    if isinstance(goals, str) or not all(isinstance(goal, str) for goal in goals):
+        raise TypeError(f"the goals must be a list of names, got {goals!r:.40}")
+    if len(goals) != count:
+        raise ValueError(f"{len(goals)} goals for {count} drives; give one goal for each")
     if camera is not None and not isinstance(camera, Camera):
         raise TypeError(
             f"the camera must be a smal.camera.Camera, got {camera!r:.40}; "
@@ -59,6 +63,7 @@ def _demonstration(
             f"{type(drive).__name__}; a single drive is a list of one: [(images, atoms)]"
         )
     images, atoms, *poses = drive
+    _count(images, f"{name}: the images")
     _check_images(name, images)
     executed = _atoms(name, atoms, len(images))
     return Demonstration(
@@ -70,6 +75,13 @@ def _demonstration(
         goal=goal,
         camera=camera,
     )
+
+
+def _count(values: Any, what: str) -> int:  # noqa: ANN401 - given by a user
+    try:
+        return len(values)
+    except TypeError:
+        raise TypeError(f"{what} must be a list or an array, got {type(values).__name__}") from None
 
 
 def _check_images(name: str, images: Sequence[Image]) -> None:
@@ -92,13 +104,14 @@ def _check_images(name: str, images: Sequence[Image]) -> None:
 
 
 def _atoms(name: str, atoms: Any, frames: int) -> Int8s:  # noqa: ANN401 - given by a user
-    if len(atoms) != frames:
+    count = _count(atoms, f"{name}: the actions")
+    if count != frames:
         raise ValueError(
-            f"{name}: {frames} images, but {len(atoms)} actions; give the action after each image, "
+            f"{name}: {frames} images, but {count} actions; give the action after each image, "
             "smal.Atom.STOP after the last"
         )
     for frame, atom in enumerate(atoms):
-        if atom not in list(Atom):
+        if np.ndim(atom) or atom not in list(Atom):
             raise ValueError(
                 f"{name}, frame {frame}: the action {atom!r:.40} is invalid; use smal.Atom, "
                 f"{', '.join(f'{one.name} = {one.value}' for one in Atom)}"
@@ -107,36 +120,36 @@ def _atoms(name: str, atoms: Any, frames: int) -> Int8s:  # noqa: ANN401 - given
 
 
 def _odometry(name: str, poses: Any, atoms: Int8s) -> Floats:  # noqa: ANN401 - given by a user
-    if len(poses) != atoms.size:
+    count = _count(poses, f"{name}: the poses")
+    if count != atoms.size:
         raise ValueError(
-            f"{name}: {atoms.size} images, but {len(poses)} poses; give the pose of each image"
+            f"{name}: {atoms.size} images, but {count} poses; give the pose of each image"
         )
     for frame, pose in enumerate(poses):
-        if np.size(pose) != 3 or not all(map(math.isfinite, pose)):
+        if not is_pose(pose):
             raise ValueError(
                 f"{name}, frame {frame}: the pose must be three finite numbers, x, y and heading "
-                f"in radians, got {np.asarray(pose).tolist()!r:.60}; leave out frames without a pose"
+                f"in radians, got {pose!r:.60}; leave out frames without a pose"
             )
     odometry = np.asarray(poses, dtype=np.float64)
-    if _in_degrees(odometry, atoms):
+    if in_degrees(odometry):
         headings = odometry[:, 2]
         raise ValueError(
             f"{name}: the headings, {headings.min():.3g} to {headings.max():.3g}, fit the motion in "
             "degrees; convert them with numpy.radians"
         )
+    _check_steps(name, odometry)
     return odometry
 
 
-def _in_degrees(poses: Floats, atoms: Int8s) -> bool:
-    """Return whether headings beyond a whole turn fit the motion as degrees, and not as radians."""
-    headings = poses[:-1, 2]
-    if np.abs(headings).max(initial=0.0) <= math.tau:
-        return False
-    x, y = np.diff(poses[:, :2], axis=0).T
-    ahead = (atoms[:-1] == Atom.FORWARD) & ((x != 0.0) | (y != 0.0))
-    moved = np.arctan2(y[ahead], x[ahead])
-    if not moved.size:
-        return False
-    radians = float(np.cos(moved - headings[ahead]).mean())
-    degrees = float(np.cos(moved - np.radians(headings[ahead])).mean())
-    return degrees - radians > _CLEARLY
+def _check_steps(name: str, odometry: Floats) -> None:
+    """Warn if a pose is so far from the pose before that the odometry was reset."""
+    steps = np.hypot(*np.diff(odometry[:, :2], axis=0).T)
+    usual = float(np.quantile(steps[steps > 0.0], _USUAL)) if steps.any() else 0.0
+    jumps = np.flatnonzero(steps > _JUMP * usual) + 1
+    if usual and jumps.size:
+        warnings.warn(
+            f"{name}, frame {jumps[0]}: the odometry jumps by {steps[jumps[0] - 1]:.3g} m, usually "
+            f"it goes {usual:.3g} m a frame; split the drive there if the odometry was reset",
+            stacklevel=2,
+        )

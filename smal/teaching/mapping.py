@@ -165,6 +165,8 @@ def _drives_to_map(
     report: Report,
 ) -> list[Drive]:
     """Return the drives that are fit for the map, and report the others; errors are as in `learn`."""
+    if not isinstance(features, FeatureSettings):
+        raise TypeError(f"the features must be smal.FeatureSettings, got {features!r:.40}")
     check_features(demonstrations, features.size)
     if features.needs != {"color"}:
         raise ValueError(

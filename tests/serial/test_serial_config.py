@@ -105,6 +105,7 @@ def test_steering_of_a_car_is_a_share_of_its_narrowest_bend(tmp_path: Path) -> N
         (BASE + LINE + "speed: 1\n", "speed: Extra inputs are not permitted"),
         (BASE.replace("0.2", "0.4") + LINE, "silence of the driver is too large (0.67 s"),
         (BASE + LINE.replace("linear_m_s", "speed"), "base.velocity: unknown {speed}; known: ang"),
+        (BASE + LINE.replace("s:.2f}'", "s:.2f'"), "base.velocity: '{angular_rad_s:.2f' lacks its"),
         (BASE + LINE.replace(".2f", "d"), "base.velocity: invalid format 'd'; use for example .3f"),
         (BASE + LINE.replace("linear_m_s", "linear*0"), "base.velocity: factor '0': must be a f"),
         (BASE + LINE.replace("{linear_m_s:.2f}", ""), "must differ for standing, driving ahead"),

@@ -44,7 +44,7 @@ def stack_of(folder: Path, config: Path) -> Iterator[EpisodeClient]:
         up = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
         stacked.callback(up.wait)
         stacked.callback(up.terminate)
-        until(lambda: "ready: robot fake" in (folder / "up.log").read_text(), 300.0)
+        until(lambda: "robot fake" in (folder / "up.log").read_text(), 300.0)
         settings = ServiceSettings(robot="fake", router=endpoint)
         client = stacked.enter_context(closing(EpisodeClient("person", settings)))
         client.node.bus.wait_connected(100.0)

@@ -372,8 +372,17 @@ def test_link_names_the_fault_when_a_port_has_no_settings(
     os.close(slave)
     with closing(link_of(tmp_path, address)) as link:
         until(lambda: "not open yet" not in str(link.lacks()))
-        assert link.lacks() == f"{address}: [Errno 5] Input/output error"
+        assert link.lacks() == f"{address}: Input/output error"
     os.close(master)
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_link_names_the_fault_when_the_address_is_no_port(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "port"
+    path.touch() if kind == "file" else path.mkdir()
+    with closing(link_of(tmp_path, str(path))) as link:
+        until(lambda: "not open yet" not in str(link.lacks()))
+        assert link.lacks() == f"{path}: not a serial port"
 
 
 @pytest.mark.system

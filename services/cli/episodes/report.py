@@ -1,5 +1,6 @@
 """Page of results of ``smal run``, with the routes of the episodes on a map."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -9,18 +10,17 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from schemas.base import TICK_S
+from schemas.codec import printable
 from schemas.episode import in_words
 from services.cli.episodes.client import EpisodeRecord
 from services.experiments import html
 from services.experiments.drawing import legend, look_at
 from services.experiments.words import condition
-from services.simulator.world import known_worlds, load_world
+from services.simulator.world import World, known_worlds, load_world
 from services.simulator.world.map_view import draw_map
-from smal.arrays import evenly
 from smal.files.stored import Stored
 
 THING_COLOUR: Final = "#d6602d"
-STRIP: Final = 6  # Number of camera images of the example run.
 OUTCOME_COLOURS: Final = {
     "found": "#1a7f37", "collision": "#c62828", "timeout": "#b26a00", "false_goal": "#7b1fa2", "aborted": "#666666",
     "missed": "#c98f00", "not_here": "#1565c0",
@@ -30,7 +30,7 @@ OUTCOME_COLOURS: Final = {
 def write_report(
     folder: Path,
     world: str | None,
-    model: Stored,
+    model: tuple[Path, Stored],
     records: list[EpisodeRecord],
     summary: Mapping[str, Any],
 ) -> Path:
@@ -43,6 +43,15 @@ def write_report(
         for name, ms in summary["decision_latency_ms"].items()
     }
     has_poses = any(record.poses for record in records)
+    there = _known(world, records)
+    file, learned = model
+    taught_in = getattr(learned, "world", "")
+
+    def to_goal(one: EpisodeRecord) -> str:
+        if there is None or not one.poses:
+            return "-"
+        return f"{math.dist(one.poses[max(one.poses)], (there.victim.x, there.victim.y)):.1f}"
+
     return html.write_page(
         folder,
         "run.html",
@@ -50,16 +59,17 @@ def write_report(
         facts={
             "victim found": f"{sum(one.outcome == 'found' for one in records)} of {len(records)}",
             "95 % interval": f"{low:.0%} to {high:.0%}",
-            "scheme": model.scheme,
+            "scheme": learned.scheme,
             "conditions": condition(vars(records[0].request)),
             "decision, median": latency["p50"],
             "decision, 95 %": latency["p95"],
         },
         routes=html.png(draw_routes(world, records)) if has_poses else None,
         shown=shown,
-        photos={
-            f"frame {ticks[k]}": shown.frames[ticks[k]] for k in evenly(len(ticks), STRIP).tolist()
-        },
+        model=f"{printable(str(file))}, checksum {learned.checksum[:12]}"
+        + (f", taught in {printable(taught_in)}" if taught_in else ""),
+        to_goal=to_goal,
+        photos={f"{tick * TICK_S:.0f} s, frame {tick}": shown.frames[tick] for tick in ticks},
         records=records,
         in_words=in_words,
         tick_s=TICK_S,
@@ -70,9 +80,7 @@ def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:
     """Draw the routes of the episodes, coloured by outcome, on the map of a known world."""
     figure = Figure(figsize=(9, 9), layout="constrained")
     axes = figure.add_subplot()
-    # A remote robot can name a built-in world, but never a path to read.
-    name = world or (records[0].world if records[0].world in known_worlds() else None)
-    there = None if name is None else load_world(name)
+    there = _known(world, records)
     seen: list[NDArray[np.float64]] = []
     for outline in dict.fromkeys(outline for record in records for outline in record.things):
         axes.fill(
@@ -98,3 +106,9 @@ def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:
         look_at(axes, np.concatenate(seen), there.place.bounds)
     legend(figure, [axes], 6)
     return figure
+
+
+def _known(world: str | None, records: Sequence[EpisodeRecord]) -> World | None:
+    """Return the requested world, or an included world that the robot names, but never its path."""
+    name = world or (records[0].world if records[0].world in known_worlds() else None)
+    return None if name is None else load_world(name)

@@ -17,7 +17,7 @@ from services.importers.drive import Tally
 from services.importers.inside import Inside
 from services.importers.job import ImportJob
 from services.importers.run import run
-from services.kit.errors import JobError
+from services.kit.errors import JobError, UsageError
 from services.recordings.dataset import Teacher, find_recordings
 from smal.features import Centering, FeatureSettings, select
 from smal.movement import Atom, dead_reckoning, seen_from
@@ -32,9 +32,11 @@ _TURN_WEIGHT: Final = 0.25
 
 
 def read_laps(
-    source: Path, advance: Callable[[str, int, int], None]
+    source: Path, advance: Callable[[str, int, int], None], rate_hz: float | None = None
 ) -> list[tuple[Demonstration, Lap]]:
     """Find laps in a tub or in recordings, ordered as by `find_laps`.
+
+    The frame rate replaces the times of a tub.
 
     Raises
     ------
@@ -44,11 +46,13 @@ def read_laps(
         If there are fewer than three laps.
     """
     tub = source.is_dir() and donkeycar.found(Inside(source))
+    if rate_hz is not None and not tub:
+        raise UsageError(f"--rate has no effect on {source}, which is no tub; omit it")
     tally = Tally()
     with TemporaryDirectory() as folder:
         if tub:
             # The units of speed and turn rate are unknown.
-            speeds = {"speed": 1.0, "turn_rate": 1.0}
+            speeds = {"speed": 1.0, "turn_rate": 1.0, "rate_hz": rate_hz}
             job = {"format": "donkeycar", "path": str(source), "folder": folder, "robot": "car"}
             run(ImportJob.model_validate(job | speeds), tally)
         files = find_recordings([Path(folder) if tub else source])

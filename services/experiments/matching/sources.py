@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from schemas.topics import JPEG
 from services.experiments.words import remark
-from services.kit.errors import UsageError
+from services.kit.errors import JobError, UsageError
 from services.kit.pixels import decode_file, decoded
 from services.recordings.encoding import stamped_jpeg
 from services.recordings.reader import read_recording
@@ -126,7 +126,7 @@ def _video(path: Path, argument: str) -> TraverseSource:
         times_s.append(video.get(cv2.CAP_PROP_POS_MSEC) / 1000.0)
     if not times_s:
         neither = "neither a folder of images, nor a recording, nor a readable video"
-        raise UsageError(f"{argument} {path}: {neither}")
+        raise JobError(f"{argument} {path}: {neither}")
     if len(times_s) < (said := int(video.get(cv2.CAP_PROP_FRAME_COUNT))):
         remark([f"{path}: only {len(times_s)} of {said} announced frames are readable"])
     return TraverseSource(

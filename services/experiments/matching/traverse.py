@@ -83,7 +83,7 @@ def describe_frames(
     with quiet_opencv(), closing(FeatureCache(settings)) as cache:
         looked_up = in_parallel(partial(_looked_up, cache), frames)
         described = engine.map(partial(_described, str(source.path), settings), looked_up)
-        bar = bar_of(described, desc=title, total=count, unit="image", disable=None)
+        bar = bar_of(described, desc=title, total=count, unit="image")
         for number, (key, one) in enumerate(bar):
             if one is not None:
                 features[len(numbers)] = one if key is None else cache.keep(key, one)

@@ -18,9 +18,12 @@ from services.experiments.drawing import (
     WIDTH_IN,
     figure,
     legend,
+    look_at,
     styled,
 )
 from services.experiments.showing.ways import Believed, Ways
+from services.simulator.world import World
+from services.simulator.world.map_view import draw_map
 
 MOST_NAMED: Final = len(COLOURS)  # With more lines than colours, the lines have no names.
 _LONGEST_NAME: Final = 30
@@ -36,13 +39,18 @@ def _mark(axes: Axes, at: NDArray[np.float64], marker: str, size: float, **style
 
 
 @styled
-def draw_ways(ways: Ways, goals: Sequence[str], believed: Mapping[int, Believed]) -> Figure:
-    """Draw the taught ways with their junctions, connected ways in one panel."""
+def draw_ways(
+    ways: Ways, goals: Sequence[str], believed: Mapping[int, Believed], world: World | None = None
+) -> Figure:
+    """Draw the taught ways with their junctions, connected ways in one panel.
+
+    If a world is given, the ways are in its axes and drawn on its map.
+    """
     groups = [np.flatnonzero(ways.groups == group) for group in range(int(ways.groups.max()) + 1)]
     drawn = figure(0.7 * WIDTH_IN * len(groups) + 1.1)
     panels = list(drawn.subplots(len(groups), 1, squeeze=False)[:, 0])
     for axes, drives in zip(panels, groups, strict=True):
-        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_aspect("equal", adjustable="datalim" if world is None else "box")
         axes.set(xlabel=ways.unit, ylabel=ways.unit)
         axes.margins(0.12)
         for drive in drives.tolist():
@@ -50,6 +58,9 @@ def draw_ways(ways: Ways, goals: Sequence[str], believed: Mapping[int, Believed]
         for drive in believed.keys() & set(drives.tolist()):
             _draw_wide_belief(axes, ways, drive, believed[drive])
         _draw_partings(axes, ways, drives.tolist())
+        if world is not None:
+            draw_map(world, axes, marks=False)
+            look_at(axes, ways.key_poses[:, :2], world.place.bounds)
     legend(drawn, panels, 3)
     return drawn
 

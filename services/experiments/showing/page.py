@@ -1,6 +1,6 @@
 """Page about a model."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import count
 from pathlib import Path
 from typing import Any, Final
@@ -15,6 +15,7 @@ from services.experiments.showing.summary import facts, goals_of, taught_drives
 from services.experiments.showing.ways import Believed, Ways, believed
 from services.experiments.words import counted
 from services.recordings.recorded import episode_of
+from services.simulator.world import World, known_worlds, load_world
 from smal.arrays import evenly
 from smal.model import Model
 from smal.paper.model import PaperModel
@@ -47,7 +48,7 @@ def write_page(
         "model.html",
         file=printable(file.name),
         drives=drives,
-        map=_map(model, found, advance) if isinstance(model, Model) else None,
+        map=_map(model, drives, advance) if isinstance(model, Model) else None,
         photos_of_drives=[_photos(taught[number]["name"], one) for number, one in found.items()],
         taught=taught,
         facts=facts(model, str(file), file.stat().st_size),
@@ -60,10 +61,10 @@ def _photos(name: object, drive: Demonstration) -> dict[str, Any]:
     return {f"{name}, frame {frame}": drive.images[frame] for frame in frames}
 
 
-def _map(
-    model: Model, drives: Mapping[int, Demonstration], advance: html.Advance
-) -> dict[str, Any]:
+def _map(model: Model, taught: TaughtDrives | None, advance: html.Advance) -> dict[str, Any]:
     ways = Ways(model.mapped)
+    drives = {} if taught is None else taught.found
+    shown, world = (ways, None) if taught is None else _in_world(model, ways, taught)
     goals = goals_of(model)
     names = [printable(episode_of(parts[0])) for parts in model.mapped.names]
     total = sum(len(one.atoms) for one in drives.values())
@@ -74,14 +75,18 @@ def _map(
 
     beliefs = {number: believed(model, ways, number, one, step) for number, one in drives.items()}
     costs = {goal: cost_to_go(ways.map, goal)[0] for goal in goals}
-    atoms = "by usual movements of actions, without odometry"
+    source = (
+        "by odometry" if ways.map.odometry else "by usual movements of actions, without odometry"
+    )
+    if world is not None:
+        source = "in the world's axes, by the true poses of the recordings"
     return {
         "names": names,
-        "caption": f"{counted(len(names), 'drive')} {'by odometry' if ways.map.odometry else atoms}; "
+        "caption": f"{counted(len(names), 'drive')} {source}; "
         f"{counted(int(ways.shared.sum()), 'keyframe')} shared by drives.",
-        "ways_png": html.png(draw_ways(ways, goals, beliefs)),
+        "ways_svg": html.svg(draw_ways(shown, goals, beliefs, world)),
         "partings": list(_partings(ways, names)),
-        "costs": {goal: html.png(draw_cost_to_go(ways, one, names)) for goal, one in costs.items()},
+        "costs": {goal: html.svg(draw_cost_to_go(ways, one, names)) for goal, one in costs.items()},
         "unreachable": [
             f"No taught way leads from {name} to {goal}."
             for goal, one in costs.items()
@@ -92,6 +97,13 @@ def _map(
         "near": ways.map.correlation_length,
         "unit": ways.unit,
     }
+
+
+def _in_world(model: Model, ways: Ways, taught: TaughtDrives) -> tuple[Ways, World | None]:
+    """Return the ways in the axes of their world, and the world, if both are known."""
+    if taught.truth is None or model.world not in known_worlds():
+        return ways, None
+    return ways.at(taught.truth), load_world(model.world)
 
 
 def _partings(ways: Ways, names: Sequence[str]) -> Iterator[str]:
@@ -107,7 +119,7 @@ def _belief(ways: Ways, name: str, one: Believed) -> dict[str, Any]:
     widest = int(one.spread.argmax())
     return {
         "name": name,
-        "png": html.png(draw_belief(ways, one)),
+        "svg": html.svg(draw_belief(ways, one)),
         "here": np.median(one.here),
         "wide": (one.here < 0.5).mean(),
         "spread": f"{one.spread[widest]:.2f} {ways.unit} at {widest * ways.map.tick_s:.1f} s",

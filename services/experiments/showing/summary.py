@@ -90,6 +90,7 @@ def _of_map(model: Model) -> dict[str, str]:
     camera = taught.taught_scene.camera
     where = f", {taught.taught_scene.height:.2f} m above the ground" if taught.odometry else ""
     return {
+        "world": printable(model.world) or "unknown",
         "goals": ", ".join(_goal(model, goal) for goal in goals_of(model)),
         "map": f"{len(taught.keyframes)} keyframes of {counted(taught.drive_count, 'drive')}, {taught.basis.shape[1]} "
         f"components a view, {taught.views.nbytes / 1e6:.1f} MB, {counted(len(taught.stitched), 'joint')}; "

@@ -1,6 +1,7 @@
 """Taught ways of a map: arrangement, junctions, and the belief of the filter on them."""
 
 from collections.abc import Callable, Iterator
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -44,6 +45,13 @@ class Ways:
         self.shared = np.isin(np.arange(len(self.of)), taught.stitched)
         arc = taught.arc[taught.keyframes]
         self.way: NDArray[np.float64] = arc - arc[np.searchsorted(self.of, self.of)]
+
+    def at(self, poses: NDArray[np.float64]) -> "Ways":
+        """Return the ways with their keyframes at poses (k, 3) of one frame of reference."""
+        moved = copy(self)
+        moved.key_poses = poses
+        moved.groups = np.zeros_like(self.groups)
+        return moved
 
     @property
     def unit(self) -> str:

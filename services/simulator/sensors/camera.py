@@ -41,8 +41,8 @@ VISIBLE_FRACTION: Final = 0.0005  # Minimum fraction of the image that a visible
 class CameraSettings:
     """Image size in pixels, and light."""
 
-    width: int = 1024
-    height: int = 768
+    width: int = 320
+    height: int = 240
     light: Daylight = DAY.light
 
 

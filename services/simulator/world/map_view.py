@@ -34,8 +34,8 @@ _FITTING: Final[dict[FittingKind, str]] = {
 _CROWN_OF_HEIGHT: Final = 0.28
 
 
-def draw_map(world: World, ax: Axes) -> None:
-    """Draw a world with start (arrow), victim (star) and overhead camera, in metres."""
+def draw_map(world: World, ax: Axes, *, marks: bool = True) -> None:
+    """Draw a world in metres, with marks of start (arrow) and victim (star) if requested."""
     x_min, y_min, x_max, y_max = world.place.bounds
     ax.set(
         xlim=(x_min, x_max),
@@ -50,6 +50,12 @@ def draw_map(world: World, ax: Axes) -> None:
         _draw_terrain(world.place, ax)
     elif isinstance(world.place, ScannedPlace):
         _draw_scan(world.place, ax)
+    if marks:
+        _mark_task(world, ax)
+
+
+def _mark_task(world: World, ax: Axes) -> None:
+    x_min, _, x_max, _ = world.place.bounds
     arrow = 0.03 * (x_max - x_min)
     start = world.start
     tip = (start.x + arrow * math.cos(start.heading), start.y + arrow * math.sin(start.heading))

@@ -4,17 +4,20 @@ import errno
 import socket
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from services.cli import main as cli
-from services.cli.options import feature_flags
+from services.cli.options import Simulator, feature_flags
 from services.kit.errors import UsageError
 from services.kit.process import EXIT_FAILED
 from services.kit.version import program_version
 from services.kit.zenoh_session import open_client
 from smal.features import FeatureSettings
+from smal.model import Model
+from tests import corridor
 from tests.services.cli.conftest import ROOT, Mistake, Smal
 
 
@@ -25,6 +28,35 @@ def test_command_prints_help_with_an_example_when_asked(name: str, smal: Smal) -
     assert out.startswith(f"Usage: smal {name} ")
     assert f"Example: smal {name}" in out
     assert len(cli.COMMANDS[name][1]) <= 55, "one line of a terminal"
+
+
+@pytest.mark.parametrize("words", ["learn", "run", "match", "topic info", "model show", "world"])
+def test_bare_command_shows_its_usage(words: str, smal: Smal) -> None:
+    status, out, err = smal(*words.split())
+    assert (status, out) == (2, "")
+    assert err.startswith(f"Usage: smal {words} ")
+    assert "Example: smal " in err
+
+
+def test_camera_is_small_by_default() -> None:
+    given = Simulator().flags("campus")
+    assert given[given.index("--camera-width") :][:4] == (
+        "--camera-width", "320", "--camera-height", "240"
+    )  # fmt: skip
+
+
+@pytest.mark.zenoh
+def test_run_warns_when_the_model_is_of_another_world(
+    smal: Smal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "services.kit.bus.open_client", lambda *where, **_: open_client(*where[:2], patience_s=0.1)
+    )
+    file = corridor.save_model(tmp_path / "way.smal")
+    run = ("run", "--model", file, "--connect", "tcp/127.0.0.1:9", "--world")
+    replace(Model.load(file), world="campus").save(file)
+    assert "taught in campus, and the robot is in yard" in smal(*run, "yard")[2]
+    assert "taught in" not in smal(*run, "campus")[2]
 
 
 def test_help_and_version_load_no_command(smal: Smal) -> None:

@@ -68,3 +68,11 @@ def test_a_decoder_that_breaks_down_is_one_line(
     monkeypatch.setattr(confined, "_WAITING", 1e3)  # On a loaded machine the clock runs far ahead.
     assert said in mistake(1, "import", "folder", str(tmp_path), "--out", str(tmp_path / "out"))
     assert not (tmp_path / "out").exists()
+
+
+def test_a_bag_becomes_recordings(smal: Smal, tmp_path: Path) -> None:
+    bag = sources.rosbag2(tmp_path / "mybag")
+    status, out, err = smal("import", "rosbag2", bag, "--out", tmp_path / "drives")
+    assert status == 0, err
+    assert f"recordings in {tmp_path / 'drives'}; next: smal learn" in out
+    assert len(list((tmp_path / "drives").glob("*.mcap"))) == 1

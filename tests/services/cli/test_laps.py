@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 from functools import partial
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 from services.experiments.laps.asking import judge
 from services.experiments.laps.source import read_laps
-from services.importers.drive import Tally
+from services.importers.drive import ImportFailure, Tally
 from services.importers.job import ImportJob
 from services.importers.run import run
 from services.kit.jpeg import encode_jpeg
@@ -74,6 +75,17 @@ def test_laps_are_aligned_within_2_per_cent(tub: Path) -> None:
             math.tau, rel=0.15
         )
         assert drive.odometry[-1, 2] - drive.odometry[0, 2] == pytest.approx(math.tau, rel=0.06)
+
+
+def test_laps_take_a_frame_rate_when_a_tub_was_copied(tub: Path, tmp_path: Path) -> None:
+    copied = shutil.copytree(tub, tmp_path / "tub")
+    catalog = copied / "catalog_0.catalog"
+    records = [json.loads(line) for line in catalog.read_text().splitlines()]
+    lines = (json.dumps(record | {"_timestamp_ms": 1_700_000_000_000}) for record in records)
+    catalog.write_text("\n".join(lines))
+    with pytest.raises(ImportFailure, match="give the frame rate with --rate"):
+        read_laps(copied, lambda *_: None)
+    assert len(read_laps(copied, lambda *_: None, 10.0)) == len(LAPS) - 1
 
 
 def test_laps_page_shows_recognition_when_one_lap_teaches(

@@ -245,10 +245,13 @@ def test_drive_with_gaps_teaches_whole_when_it_has_no_odometry(
     assert Model.load(tmp_path / "model.smal").mapped.frames.tolist() == [30]
     captured = capsys.readouterr()
     assert "failed" not in captured.err
-    assert captured.out.splitlines()[-3:] == [
+    assert captured.out.splitlines()[-4:-1] == [
         "drive   frames  used  note",
         "failed      40     0  victim not reached (timeout)",
         "e           30    30  3 gaps (1.0 s) bridged by views",
     ]
+    assert captured.out.splitlines()[-1] == (
+        f"next: smal run --world campus --model {tmp_path / 'model.smal'}"
+    )
     assert json.loads(report.read_text())["uses"][1]["used"] == 30
     assert path.exists()

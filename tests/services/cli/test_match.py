@@ -161,7 +161,7 @@ def test_depth_is_read_from_its_own_folders(folders: Path, smal: Smal) -> None:
         (["ref", "query", "--radius", "1"], 2, "--radius: requires"),
         (["ref", "query", "--truth", "gps", "--radius", "1"], 2, "--truth gps: no EXIF position in the images of ref"),
         (["ref", "query", "--poses", "nan.csv", "nan.csv", "--radius", "1"], 2, "--poses nan.csv: line 2: x_m and y_m"),
-        (["ref", "truth.csv"], 2, "QUERIES truth.csv: neither a folder of images, nor a recording"),
+        (["ref", "truth.csv"], 1, "QUERIES truth.csv: neither a folder of images, nor a recording"),
         (["ref", "query", "--page", "x.png", "--plot", "x.png"], 2, "--plot x.png: same file as --page"),
         (["ref", "query", "--plot", "x.bmp"], 2, "--plot x.bmp: unsupported; the file name"),
         (["ref", "query", "--modalities", "depth"], 2, "--reference-depth: requires the modality depth"),

@@ -44,10 +44,11 @@ MODELS = [
         "goal 'victim': the paper's scheme always goes to the nearest goal",
     ),
 ]
+UNREADABLE = ("text.smal", "newer.smal")  # A wrong content is a failed job, status 1.
 #: Arguments separated by single spaces, exit status, and a pattern for the line.
 MISTAKES = [
     ("mach", 2, "No such command 'mach'. Did you mean 'match'?"),
-    ("run", 2, "--model"),
+    ("run --seed 3", 2, "--model"),
     ("nonsense", 2, "nonsense"),
     ("run --model x --episodes 0", 2, "--episodes"),
     ("run --model x --scheme dream", 2, "--scheme"),
@@ -67,7 +68,7 @@ MISTAKES = [
     ("up --scale recognition=00", 2, "--scale"),
     ("up --scale recognition=10", 2, "--scale"),
     *(
-        (f"{command} --world yard --model {model}", 2, line)
+        (f"{command} --world yard --model {model}", 1 if model in UNREADABLE else 2, line)
         for command in ("run", "up")
         for model, line in MODELS
     ),
@@ -76,7 +77,7 @@ MISTAKES = [
     (f"{RUN} mapped.smal --json mapped.smal", 2, "--json mapped.smal"),
     (f"{RUN} mapped.smal --report file", 2, "--report file"),
     (f"{RUN} mapped.smal --record file/deeper", 2, "--record file/deeper"),
-    (f"{IMPORT} no-such", 1, "no-such: No such file or directory"),
+    (f"{IMPORT} no-such", 2, "no-such: No such file or directory"),
     (f"{IMPORT} x --goal \n", 2, "'--goal'"),
     (f"{IMPORT} x --robot Burger", 2, "'--robot'"),
     (f"{IMPORT} x --from 5 --to 5", 2, "--to 5: not after --from 5"),
@@ -116,7 +117,7 @@ MISTAKES = [
         (f"{learn} --modalities hog,depth", 2, "recordings contain no depth images; omit depth")
         for learn in ("learn drives --out new", f"{LEARN} drives")
     ),
-    ("model show text.smal", 2, "not a SMAL model"),
+    ("model show text.smal", 1, "not a SMAL model"),
     ("model show mapped.smal --recordings full", 2, "give --out too"),
     ("model show mapped.smal --recordings none --out full", 2, "not found"),
     ("model show mapped.smal --out file", 2, "is a file, not a folder"),
@@ -129,6 +130,13 @@ MISTAKES = [
     ("topic echo --count 0", 2, "--count"),
     ("topic hz --seconds nan", 2, "--seconds"),
     ("topic info stat", 2, "did you mean state?"),
+    ("topic echo stat", 2, "did you mean state?"),
+    ("topic hz stat", 2, "did you mean state?"),
+    ("replay no-such.mcap", 2, "no-such.mcap: No such file"),
+    ("recording repair no-such.mcap", 2, "no-such.mcap: No such file"),
+    ("match file file", 1, "nor a readable video"),
+    ("world render atlantis --out new", 2, "atlantis.*campus"),
+    ("demo --browser --connect tcp/127.0.0.1:9", 2, "--browser: unsupported with --connect"),
     (f"secure init keys --robot {LONG} --robots 2", 2, "--robots"),
     ("secure init keys --host ", 2, "--host"),
     ("secure init keys --host b\u00fccher.example", 2, "--host"),

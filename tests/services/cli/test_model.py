@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from schemas.base import Message
+from schemas.motion import TruePose
 from services.experiments.showing.drives import find_drives
 from services.experiments.showing.page import write_page
 from services.recordings.dataset import Teacher, find_recordings
@@ -38,6 +39,8 @@ def messages(name: str, one: Drive, room: Room, goal: str) -> Iterator[Message]:
     yield event(name, 0, "started").model_copy(update={"goal": goal})
     for tick, (pose, atom) in enumerate(zip(one.poses, one.atoms, strict=True)):
         yield from seen(header(name, tick), room.look(pose), pose.tolist(), speed_m_s=0.5)
+        x_m, y_m, heading_rad = pose.tolist()
+        yield TruePose.after(header(name, tick), x_m=x_m, y_m=y_m, heading_rad=heading_rad)
         yield applied(name, tick, atom=Atom(atom).name.lower())
     yield event(name, len(one.poses) - 1, "ended", "found").model_copy(update={"goal": goal})
 
@@ -113,6 +116,21 @@ def photos(page: Page) -> int:
     return sum(
         name == "src" and value.startswith("data:image/jpeg") for name, value in page.attributes
     )
+
+
+def test_map_page_draws_svg_in_the_colours_of_the_page(
+    taught: Path, tmp_path: Path, smal: Smal
+) -> None:
+    model = tmp_path / "campus.smal"
+    replace(Model.load(taught / "two.smal"), world="campus").save(model)
+    shown(smal, tmp_path, model, "--recordings", taught / "drives")
+    text = (tmp_path / "index.html").read_text()
+    assert text.count("<svg") >= 4
+    assert "data:image/png" not in text
+    assert not re.search("#222222|#0b5fa5", text.split("</style>", 1)[1])
+    assert "var(--text)" in text
+    assert "in the world&#39;s axes" in text
+    assert "east (m)" in text
 
 
 def test_map_page_shows_fork_drives_and_belief(taught: Path, tmp_path: Path, smal: Smal) -> None:
@@ -199,5 +217,5 @@ def test_an_odd_model_is_one_line(
     )
     object.__setattr__(odd, name, value)
     odd.save(tmp_path / "odd.smal")
-    err = mistake(2, "model", "show", tmp_path / "odd.smal", "--out", tmp_path / "out")
+    err = mistake(1, "model", "show", tmp_path / "odd.smal", "--out", tmp_path / "out")
     assert err == f"smal: {tmp_path}/odd.smal: the parts of the model do not fit together: {said}\n"

@@ -131,3 +131,10 @@ def test_hz_measures_each_key(smal: Smal, router_endpoint: str) -> None:
     assert set(found) == {KEY, "smal/rescuebot/camera/jpeg"}
     assert found[KEY]["rate_hz"] > 0.0
     assert found[KEY]["mean_bytes"] == found[KEY]["max_bytes"]
+
+
+def test_list_fits_a_terminal_of_80_columns(smal: Smal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = smal("topic", "list")[1].splitlines()
+    assert [line.split()[0] for line in lines] == ["topic", *TOPICS]
+    assert max(map(len, lines)) == 80

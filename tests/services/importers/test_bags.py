@@ -9,11 +9,13 @@ import pytest
 
 from services.importers.drive import ImportFailure, Tally
 from services.importers.job import ImportReport
+from services.kit.jpeg import decode_jpeg, encode_jpeg
 from tests.services.importers import bags
 from tests.services.importers.bags import (
     FRAMES,
     IMAGE,
     SPEED,
+    Frame,
     Said,
     command,
     drive,
@@ -384,6 +386,51 @@ def test_odometry_is_in_metres_when_published_in_smaller_units(unit: float, tmp_
     report, tally = imported_of(said(small), tmp_path)
     check_whole(report)
     assert remark(tally, "converted to metres")
+
+
+def mirrored(frame: Frame) -> Frame:
+    x, y, heading = frame.pose
+    return frame._replace(pose=(x, -y, -heading))
+
+
+def test_odometry_is_mirrored_when_views_and_commands_agree(tmp_path: Path) -> None:
+    left_handed = [one for one in said(map(mirrored, drive())) if one.topic != "/cmd_vel"]
+    report, tally = imported_of([*left_handed, *map(command, drive())], tmp_path)
+    check_whole(report)
+    assert remark(tally, "turns of the odometry are to the other side", "mirrored")
+
+
+def test_commands_are_mirrored_when_views_and_odometry_agree(tmp_path: Path) -> None:
+    others = [command(frame._replace(angular=-frame.angular)) for frame in drive()]
+    report, tally = imported_of([*said(commands=False), *others], tmp_path)
+    check_whole(report)
+    assert report.atoms["left"] == sum(frame.angular > 0.0 for frame in drive())
+    assert remark(tally, "turns of the velocities are to the other side", "mirrored")
+
+
+@pytest.mark.parametrize("how", ["lens", "turn rate"])
+def test_remark_names_the_remedy_when_views_turn_otherwise(how: str, tmp_path: Path) -> None:
+    upside_down = [
+        frame._replace(jpeg=encode_jpeg(np.rot90(decode_jpeg(frame.jpeg), 2).copy()))
+        for frame in drive()
+    ]
+    clockwise = [frame._replace(angular=-frame.angular) for frame in map(mirrored, drive())]
+    bag = said(upside_down if how == "lens" else clockwise)
+    _, tally = imported_of(bag, tmp_path)
+    assert remark(tally, "the views turn to the other side", "--rotate 180", "--turn-rate -1")
+    remedy = {"rotate_deg": 180} if how == "lens" else {"turn_rate": -1.0}
+    report, tally = imported(tmp_path / "bag", "rosbag2", tmp_path / "out", **remedy)
+    assert "other side than the robot" not in " ".join(tally.lines())
+    assert report.atoms["left"] == sum(frame.angular > 0.0 for frame in drive())
+
+
+def test_turn_rates_in_degrees_are_refused_with_a_scale(tmp_path: Path) -> None:
+    degrees = [command(frame._replace(angular=math.degrees(frame.angular))) for frame in drive()]
+    with pytest.raises(ImportFailure, match=r"turn rate too large .29 rad/s.*--turn-rate 0.0174"):
+        imported_of([*said(commands=False), *degrees], tmp_path)
+    report, _ = imported(tmp_path / "bag", "rosbag2", tmp_path / "out", turn_rate=math.radians(1.0))
+    check_whole(report)
+    assert report.turn_rate == pytest.approx(0.5, abs=0.01)
 
 
 def test_standing_poses_are_reported_when_commands_drive(tmp_path: Path) -> None:

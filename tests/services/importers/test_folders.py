@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -15,8 +16,10 @@ from scipy.spatial.transform import Rotation
 from services.importers.drive import ImportFailure, Tally
 from services.importers.ticks import motion_along
 from services.importers.trajectory import track_of
+from services.recordings.dataset import Teacher
 from smal.movement import wrapped
-from tests.services.importers import sources
+from tests import corridor
+from tests.services.importers import bags, sources
 from tests.services.importers.test_formats import check_drive, episode_of, imported
 
 #: A camera looks along z, with x to the right and y down: its axes in those of the robot.
@@ -47,7 +50,7 @@ def tum(folder: Path, mount: Rotation) -> Path:
     poses = []
     for moment in sources.drive(100.0):
         place, turn = placed(moment, mount)
-        poses.append(" ".join(map(str, [moment.time_s, *place, *turn.as_quat()])))
+        poses.append(" ".join(map(str, [moment.time_s, *place, *turn.as_quat(), "# a comment"])))
     (folder / "groundtruth.txt").write_text("\n".join(["# ground truth trajectory", *poses]))
     return folder
 
@@ -248,6 +251,161 @@ def test_poses_give_velocities_when_a_table_has_none(tmp_path: Path) -> None:
     text = (folder / "drive.csv").read_text()
     (folder / "drive.csv").write_text(text.replace("linear_m_s,angular_rad_s", "a,b"))
     check_drive(episode_of(imported(folder, "folder", tmp_path / "out")[0]), blurred=3)
+
+
+def changed_column(folder: Path, name: str, change: Callable[[float], object]) -> None:
+    """Change the numbers in a column of a table."""
+    table = folder / "drive.csv"
+    with table.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    with table.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(row | {name: change(float(row[name]))} for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")]
+)
+@pytest.mark.parametrize("filmed", [True, False])
+def test_times_are_converted_when_they_are_not_seconds(
+    factor: float, unit: str, filmed: bool, tmp_path: Path
+) -> None:
+    folder = film(tmp_path / "set") if filmed else sources.csv_folder(tmp_path / "set")
+    changed_column(folder, "time_s", lambda time_s: round(time_s * factor))
+    report, tally = imported(folder, "folder", tmp_path / "out")
+    check_drive(episode_of(report), blurred=3)
+    assert any(f"times are in {unit}" in line for line in tally.lines())
+
+
+@pytest.mark.parametrize("velocities", [True, False])
+def test_headings_are_converted_when_they_are_degrees(velocities: bool, tmp_path: Path) -> None:
+    """The velocities, or else the direction of the motion, show the unit."""
+    rows = ["image,time_s,linear_m_s,angular_rad_s,x_m,y_m,heading_rad"]
+    for number, frame in enumerate(bags.drive()):
+        (tmp_path / f"{number}.jpg").write_bytes(frame.jpeg)
+        x, y, heading = frame.pose
+        cells = [frame.time_s, frame.linear, frame.angular, x, y, math.degrees(heading)]
+        rows.append(",".join([f"{number}.jpg", *map(str, cells)]))
+    if not velocities:
+        rows[0] = rows[0].replace("linear_m_s,angular_rad_s", "a,b")
+    (tmp_path / "drive.csv").write_text("\n".join(rows))
+    report, tally = imported(tmp_path, "folder", tmp_path / "out")
+    headings = [one.heading_rad for one in episode_of(report).odometry.values()]
+    assert headings == pytest.approx([frame.pose[2] for frame in bags.drive()], abs=0.05)
+    assert any("headings are in degrees; converted" in line for line in tally.lines())
+
+
+def test_rows_are_read_once_when_they_are_repeated(tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set")
+    head, *rows = (folder / "drive.csv").read_text().splitlines()
+    (folder / "drive.csv").write_text("\n".join([head, *rows * 10]))
+    report, tally = imported(folder, "folder", tmp_path / "out")
+    check_drive(episode_of(report), blurred=2)
+    assert tally.counts["rows are repeated (read once)"] == 9 * len(rows)
+    assert not [line for line in tally.lines() if "set back" in line]
+
+
+def test_row_is_named_when_commas_split_its_numbers(tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set")
+    head, *rows = (folder / "drive.csv").read_text().splitlines()
+    text = "\n".join([head, *(row.replace(".", ",").replace(",jpg", ".jpg") for row in rows)])
+    (folder / "drive.csv").write_text(text)
+    with pytest.raises(ImportFailure, match="row 1: more cells than columns; if numbers have com"):
+        imported(folder, "folder", tmp_path / "out")
+
+
+def test_row_is_named_when_its_time_is_a_date(tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set")
+    changed_column(folder, "time_s", lambda _: "2026-01-01T00:00:00")
+    with pytest.raises(ImportFailure, match="row 1: time_s: '2026-01-01T00:00:00' must be a val"):
+        imported(folder, "folder", tmp_path / "out")
+
+
+def test_missing_images_are_reported_in_two_lines(tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set")
+    for file in sorted(folder.glob("*.jpg"))[20:30]:
+        file.unlink()
+    _, tally = imported(folder, "folder", tmp_path / "out")
+    assert len([line for line in tally.lines() if "No such file" in line]) == 1
+
+
+def test_drive_is_left_out_when_its_images_change_their_shape(tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set")
+    for file in sorted(folder.glob("*.jpg"))[30:]:
+        cv2.imwrite(str(file), cv2.imread(str(file))[8:])
+    report, _ = imported(folder, "folder", tmp_path / "out")
+    teaching = Teacher(corridor.FEATURES, shortest=1).read_all(
+        [Path(file) for file in report.files], lambda *_: None
+    )
+    assert not teaching.demonstrations
+    (line,) = [line for line in teaching.lines() if "images of 64x40 differ from 64x48" in line]
+    assert "another aspect ratio shows another view" in line
+
+
+@pytest.mark.parametrize("brand", [b"heic", b"avif"])
+def test_format_is_named_when_images_do_not_decode(brand: bytes, tmp_path: Path) -> None:
+    folder = sources.csv_folder(tmp_path / "set")
+    for file in folder.glob("*.jpg"):
+        file.write_bytes(b"\0\0\0\x18ftyp" + brand + bytes(100))
+    with pytest.raises(ImportFailure, match=rf"images .{brand.decode().upper()}. .*convert them"):
+        imported(folder, "folder", tmp_path / "out")
+
+
+def test_refusal_names_the_archive_to_unpack(tmp_path: Path) -> None:
+    folder = tmp_path / "packed"
+    folder.mkdir()
+    (folder / "tub.zip").write_bytes(b"PK\3\4")
+    for path, form in ((folder, "donkeycar"), (folder / "tub.zip", "rosbag2")):
+        with pytest.raises(ImportFailure, match=rf"nothing of the format {form}; unpack tub.zip"):
+            imported(path, form, tmp_path / "out")
+
+
+SENSOR = """%YAML:1.0
+# General sensor definitions.
+sensor_type: camera
+resolution: [64, 48]
+camera_model: pinhole
+intrinsics: [45.0, 45.0, 33.0, 23.0] #fu, fv, cu, cv
+distortion_model: radial-tangential
+distortion_coefficients: [-0.28, 0.07, 0.0002, 0.00002]
+"""
+
+
+@pytest.mark.parametrize("layout", ["euroc", "kitti"])
+def test_calibration_beside_images_is_imported(layout: str, tmp_path: Path) -> None:
+    if layout == "euroc":
+        folder = euroc(tmp_path / "set")
+        (folder / "mav0/cam0/sensor.yaml").write_text(SENSOR)
+    else:
+        folder = kitti(tmp_path / "set", "poses.txt")
+        row = "45 0 33 0 0 45 23 0 0 0 1 0"
+        lines = [f"P{number}: {row.replace('45', str(43 + number))}\n" for number in range(4)]
+        (folder / "calib.txt").write_text("".join(lines))
+    report, _ = imported(folder, "folder", tmp_path / "out")
+    info = episode_of(report).camera
+    assert info is not None
+    assert (info.focal_px, info.centre_x_px, info.centre_y_px) == pytest.approx((45.0, 33.0, 23.0))
+    assert report.field_of_view_deg == pytest.approx(81.0 if layout == "euroc" else 70.8, abs=1.0)
+
+
+def test_calibration_is_reported_when_it_is_unsupported(tmp_path: Path) -> None:
+    folder = euroc(tmp_path / "set")
+    camera = folder / "mav0/cam0/sensor.yaml"
+    for wrong in (SENSOR.replace("radial-tangential", "fov"), "resolution: [64, 48]", "]"):
+        camera.write_text(wrong)
+        report, tally = imported(folder, "folder", tmp_path / "out")
+        assert report.field_of_view_deg is None
+        assert any("sensor.yaml: calibration not used: " in line for line in tally.lines())
+
+
+def test_rows_are_counted_when_the_video_ends_before(tmp_path: Path) -> None:
+    folder = film(tmp_path / "set", "drive.mkv")
+    images = [moment.image for moment in sources.drive(20.0)]
+    changed_column(folder, "time_s", lambda time_s: time_s - sources.START_S)
+    sources.mp4(folder / "drive.mkv", images[:40], 20)
+    _, tally = imported(folder, "folder", tmp_path / "out")
+    assert tally.counts["rows are later than the end of the video (left out)"] > 10
 
 
 def film(folder: Path, name: str = "drive.mp4") -> Path:

@@ -157,6 +157,7 @@ def test_ledger_lists_missing_messages_in_any_order(
         missing[topic] = set(range(last + 1)) - ticks
     assert ledger.duplicates == len(sent) - len(seen)
     assert ledger.gap_ticks == sum(map(len, missing.values()))
+    assert ledger.missing == {topic: len(ticks) for topic, ticks in missing.items() if ticks}
     named = {topic: ticks_of(text) for topic, text in ledger.gaps().items()}
     assert named == {topic: ticks for topic, ticks in missing.items() if ticks}
     assert ledger.whole(12) == (not ledger.gap_ticks)

@@ -248,7 +248,7 @@ def test_a_stack_without_a_robot_answers_a_replay(
         text=True,
     )  # fmt: skip
     try:
-        assert any("ready: robot rescuebot without a robot" in line for line in up.stderr)
+        assert any("robot rescuebot without a robot" in line for line in up.stderr)
         with closing(Bus(ROBOT, free_endpoint)) as bus:
             heard = Heard(bus, topics.ACTION)
             status, _, told = smal("replay", path, "--router", free_endpoint, "--rate", 2)

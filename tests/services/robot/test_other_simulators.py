@@ -143,7 +143,7 @@ def stack(folder: Path) -> Iterator[str]:
         )  # fmt: skip
         try:
             log_of = (folder / "log").read_text
-            eventually(lambda: "ready: robot" in log_of() or process.poll() is not None)
+            eventually(lambda: "ready: " in log_of() or process.poll() is not None)
             assert process.poll() is None, log_of()
             yield endpoint
         finally:

@@ -12,7 +12,7 @@ from smal.obstacles.clearance import Surroundings
 from smal.planning import Decision, Planner
 from smal.planning.config import PLANNER_CONFIG
 from smal.sought.witness import Glimpse
-from tests.smal.depth_world import MOUNT, Box, depth
+from tests.smal.depth_world import MOUNT, Box, depth, touches
 from tests.smal.test_planning import belief, map_of
 
 HERE = 10  # A metre along the way, which is where the robot stands.
@@ -146,29 +146,86 @@ def test_search_ends_when_a_thing_stands_before_the_target() -> None:
     assert (decisions[0].kind, decisions[-1].kind, planner.said) == ("blocked", "goal", "not_here")
 
 
-def test_robot_backs_off_then_looks_around_when_its_wheels_stand() -> None:
+def drives(boxes: list[Box], ticks: int = 600) -> tuple[float, int, list[str]]:
+    """Drive along the way, y = 0, among boxes that no camera shows.
+
+    Returns the way ahead, the ticks for which the wheels stood against a box, and the kinds of
+    decisions in turn.
+    """
     planner = Planner(map_of(16.0))
-    made = looks([])
-    x = 0.0
-    moved = 0.0
-    decisions = []
-    for _ in range(50):
-        made.move((x, 0.0, 0.0))
-        here = replace(belief((HERE, x, 0.0, 0.0)), moved=moved)
-        decisions.append(planner.decide(here, around=made))
-        moved = 0.02 * min(decisions[-1].motion[0], 0.0)
-        x += moved
-    kinds = [kind for kind, _ in groupby(decision.kind for decision in decisions)]
-    assert kinds == ["follow", "blocked", "follow", "blocked", "look_around"]
-    assert -1.0 < x < -0.1
+    made = Surroundings(MOUNT.radius_m)
+    pose = (0.0, 0.0, 0.0)
+    ahead = 0.0
+    touched = 0
+    kinds = []
+    for _ in range(ticks):
+        made.move(pose)
+        x, y, heading = pose
+        place = belief((HERE, x, y, math.degrees(heading)))
+        decision = planner.decide(replace(place, moved=ahead), around=made)
+        kinds.append(decision.kind)
+        linear, angular = decision.motion
+        ahead = 0.1 * linear
+        there = (x + ahead * math.cos(heading), y + ahead * math.sin(heading))
+        if touches(boxes, there):
+            ahead = 0.0
+            there = (x, y)
+            touched += 1
+        pose = (*there, heading + math.radians(4.5) * angular)
+        if x > 6.0:
+            break
+    return pose[0], touched, [kind for kind, _ in groupby(kinds)]
 
 
-def test_robot_looks_around_when_its_wheels_stand_without_depth() -> None:
+@pytest.mark.parametrize(
+    "boxes",
+    [
+        [(2.0, -0.2, 2.4, 0.2, 1.0)],
+        [(2.0, -0.7, 2.4, -0.25, 1.0)],
+        [(2.0, 0.3, 2.4, 4.0, 1.0)],
+        [(2.0, -0.8, 2.4, 0.8, 1.0)],
+        [(2.0, -4.0, 2.4, -0.2, 1.0), (2.0, 1.0, 2.4, 5.0, 1.0)],
+    ],
+    ids=["ahead", "to the right", "a wall to the left", "wide", "a door"],
+)
+def test_robot_goes_round_what_it_touches(boxes: list[Box]) -> None:
+    x, touched, _ = drives(boxes)
+    assert x > 6.0
+    assert 0 < touched < 70
+
+
+def test_robot_looks_around_when_it_touches_things_again() -> None:
+    x, _, kinds = drives([(2.0, -9.0, 2.4, 9.0, 1.0)])
+    assert x < 2.0
+    assert kinds[:4] == ["follow", "blocked", "follow", "blocked"]
+    assert "look_around" in kinds
+
+
+def test_robot_tries_again_when_it_has_touched_all_around() -> None:
     planner = Planner(map_of(16.0))
-    stands = replace(belief((HERE, 0.0, 0.0, 0.0)), moved=0.0)
-    motions = [planner.decide(stands).motion for _ in range(20)]
-    assert sum(linear > 0.0 for linear, _ in motions) == pytest.approx(10, abs=1)
-    assert motions[-1][0] == 0.0
+    made = Surroundings(MOUNT.radius_m)
+    for heading in np.arange(0.0, math.tau, 0.2):
+        made.move((0.0, 0.0, heading))
+        made.touch()
+    made.move((0.0, 0.0, 0.0))
+    here = replace(belief((HERE, 0.0, 0.0, 0.0)), moved=0.0)
+    kinds = [planner.decide(here, around=made).kind for _ in range(70)]
+    assert kinds[10:45] == ["blocked"] * 35
+    assert kinds[-1] == "follow"
+
+
+def test_touched_obstacle_stays_until_the_robot_stands_there() -> None:
+    made = Surroundings(MOUNT.radius_m)
+    made.move((1.0, 2.0, 0.5))
+    assert made.free_m(ahead=True) == pytest.approx(made.reach_m, abs=0.2)
+    made.touch()
+    assert made.free_m(ahead=True) == 0.0
+    assert made.free_m(ahead=False) == 0.0  # Nothing shows what is behind.
+    made.observe((1.0, 2.0, 0.5), depth([], (1.0, 2.0, 0.5)), MOUNT)
+    assert made.free_m(ahead=True) == 0.0  # A camera that has not shown it does not deny it.
+    made.move((1.4, 2.2, 0.5))
+    made.move((1.0, 2.0, 0.5))
+    assert made.free_m(ahead=True) > 1.0  # The robot stood there meanwhile.
 
 
 def test_robot_drives_on_when_its_wheels_turn() -> None:

@@ -39,6 +39,10 @@ def changed(values: Any, frame: int, value: object) -> list[Any]:
         ((changed(IMAGES, 2, IMAGES[2][10:]), ATOMS), "frame 2: .* another view than the first"),
         ((changed(IMAGES, 2, IMAGES[2] / 255.0), ATOMS), "frame 2: an image must be .* uint8"),
         (IMAGES, "drive-0 must be .images, atoms. or"),
+        ((IMAGES, np.zeros((FRAMES, 1), dtype=int)), "frame 0: the action array"),
+        ((IMAGES, ATOMS, changed(POSES, 7, "abc")), "drive-0, frame 7: the pose .* got 'abc'"),
+        ((IMAGES, ATOMS, changed(POSES, 7, (1j, 0, 0))), "drive-0, frame 7: the pose must be"),
+        ((IMAGES, ATOMS, changed(POSES, 7, [[0], [0], [0]])), "drive-0, frame 7: the pose must be"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -63,6 +67,13 @@ def test_headings_are_rejected_when_they_are_in_degrees() -> None:
     smal.fit([(IMAGES, ATOMS, wound)], corridor.FEATURES)
 
 
+def test_jump_is_named_when_odometry_was_reset(recwarn: pytest.WarningsRecorder) -> None:
+    jumping = [(x + 100.0 * (frame > 10), y, h) for frame, (x, y, h) in enumerate(POSES)]
+    smal.fit([(IMAGES, ATOMS, jumping)], corridor.FEATURES)
+    (warning,) = recwarn
+    assert str(warning.message).startswith("drive-0, frame 11: the odometry jumps by 100 m")
+
+
 def test_images_are_named_when_a_lazy_sequence_is_damaged() -> None:
     class Lazy(list[Any]):
         pass
@@ -83,6 +94,15 @@ def test_images_are_named_when_a_lazy_sequence_is_damaged() -> None:
     [
         (lambda: smal.Robot("way.smal"), "smal.Model.load"),
         (lambda: smal.fit([(IMAGES, ATOMS)], camera=70.0), "Camera.of_field"),
+        (lambda: smal.fit([(IMAGES, ATOMS)], features="hog"), "smal.FeatureSettings, got 'hog'"),
+        (lambda: smal.fit([(IMAGES, ATOMS)], goals="x"), "goals must be a list of names, got 'x'"),
+        (lambda: smal.fit([(IMAGES, ATOMS)], goals=[3]), "goals must be a list of names"),
+        (lambda: smal.fit(None), "drives must be a list or an array, got NoneType"),
+        (lambda: smal.fit(drive for drive in [(IMAGES, ATOMS)]), "drives must be a list"),
+        (lambda: smal.fit([(iter(IMAGES), ATOMS)]), "drive-0: the images must be a list"),
+        (lambda: smal.fit([(IMAGES, None)]), "drive-0: the actions must be a list"),
+        (lambda: smal.fit([(IMAGES, ATOMS, 5)]), "drive-0: the poses must be a list"),
+        (lambda: smal.learn(["drives"]), "smal.recordings.read.path. reads recordings"),
     ],
 )
 def test_wrong_kind_of_object_is_rejected(use: Callable[[], object], words: str) -> None:
@@ -114,5 +134,8 @@ def test_robot_warns_when_red_and_blue_are_swapped(
     for image, pose in zip(IMAGES[:12], POSES[:12], strict=True):
         robot.step(image[..., ::-1] if swapped else image, pose)
     assert [warning.category for warning in recwarn] == [UserWarning] * swapped
-    with pytest.raises(ValueError, match="three finite numbers"):
-        robot.step(IMAGES[12], POSES[12][:2])
+    for wrong in (POSES[12][:2], "abc"):
+        with pytest.raises(ValueError, match="three finite numbers"):
+            robot.step(IMAGES[12], wrong)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="another view than the taught images"):
+        robot.step(IMAGES[12][10:])

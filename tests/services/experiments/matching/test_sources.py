@@ -157,7 +157,9 @@ def test_source_is_rejected_when_it_has_no_frames(tmp_path: Path) -> None:
         ("empty", r"no image in this folder \(files: 0\)"),
         ("notes", r"no image in this folder \(files: 1\)"),
     ):
-        with pytest.raises(UsageError, match=f"^REFERENCE_DIR {tmp_path / name}: {problem}"):
+        with pytest.raises(
+            (UsageError, JobError), match=f"^REFERENCE_DIR {tmp_path / name}: {problem}"
+        ):
             open_source(tmp_path / name, "REFERENCE_DIR")
     (tmp_path / "notes" / "b.jpg").write_bytes(encoded(picture(), ".jpg")[:-30])
     with pytest.raises(JobError, match=r"no readable image: b\.jpg"):
