@@ -13,7 +13,7 @@ import pytest
 from hypothesis import settings
 
 from services.simulator.world import Pose
-from services.simulator.world.loading import WORLDS_FOLDER, Wishes, import_map
+from services.simulator.world.loading import WORLDS_FOLDER, RoleWishes, Wishes, import_map
 from tests.chromium import CHROMIUM, FLAGS, NO_CHROMIUM
 from tests.command import run_smal
 from tests.services.waiting import Lost, stalls
@@ -68,7 +68,9 @@ def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     def make(folder: Path) -> None:
         _, text = import_map(
-            WORLDS_FOLDER / "yard.osm", folder / "near.json", Wishes(Pose(-8.0, 1.0, 0.0))
+            WORLDS_FOLDER / "yard.osm",
+            folder / "near.json",
+            Wishes(RoleWishes(Pose(-8.0, 1.0, 0.0))),
         )
         (folder / "near.json").write_text(text)
 

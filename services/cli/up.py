@@ -2,12 +2,14 @@
 
 import logging
 import re
+import sys
 import time
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from importlib import import_module
+from importlib.machinery import PathFinder
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, NamedTuple
 
 from typer import Option
 
@@ -116,7 +118,7 @@ class Ports:
 
 @dataclass(frozen=True)
 class RobotBody:
-    """Body of the robot: a simulator, none, or a real base with a configuration file."""
+    """Body of the robot: a simulator, none, a real base with a configuration file, or a module."""
 
     body: Annotated[
         str,
@@ -130,6 +132,28 @@ class RobotBody:
         Path | None,
         Option("--robot-config", help="Configuration file of a real base (serial, ros2)."),
     ] = None
+
+    module: Annotated[
+        str | None,
+        Option(
+            "--robot-module",
+            metavar="MODULE",
+            help="Python module that runs another body: another simulator, for example.",
+        ),
+    ] = None
+
+    def other(self) -> str | None:
+        """Return the module of another body; UsageError if it is not found."""
+        if self.module is None:
+            return None
+        if self.body != _SIMULATOR or self.config is not None:
+            raise UsageError("--robot-module: unsupported with --robot-body and --robot-config")
+        places = [str(Path.cwd()), *sys.path]
+        if PathFinder.find_spec(self.module.partition(".")[0], places) is None:
+            raise UsageError(
+                f"--robot-module {self.module}: not found in {Path.cwd()} or among the packages"
+            )
+        return self.module
 
     def base(self) -> tuple[str, Path] | None:
         """Return the kind of a real base, and its configuration file."""
@@ -215,12 +239,7 @@ def up(
 
     Example: smal up --world campus --model campus.smal
     """
-    world = world or options.DEFAULT_WORLD
-    options.read_world(world)
-    base = robot_body.base()
-    where = world if base is None else base_name(*base)
-    if size.robots > 1 and base is not None:
-        raise UsageError("--robots: unsupported: a configuration file describes one base")
+    chosen = _chosen_body(robot_body, world, simulator, size, files)
     options.fleet_of(reach.robot, size.robots)
     instances = size.instances
     chain, learned_on = learned.flags()
@@ -233,7 +252,7 @@ def up(
         reach.robot,
         reach.settings.router,
         secure=reach.secure,
-        modules={} if base is None else {"robot": f"services.{base[0]}"},
+        modules=chosen.modules,
         robots=size.robots,
         scale=instances,
     )
@@ -241,10 +260,9 @@ def up(
     recorded = files.recordings_of(plan.fleet)
     metrics = ports.metrics(list(plan.processes()))
     below = flags(root=files.root.resolve())
-    simulated = (*simulator.flags(world), *below)
     of_service = {
         "router": flags(insecure=insecure or None),
-        "robot": simulated if base is None else flags(robot_config=base[1]),
+        "robot": chosen.flags,
         "features": features,
         "recognition": chain + below,
         "policy": chain + below,
@@ -258,9 +276,42 @@ def up(
         + (flags(http=f"127.0.0.1:{metrics[name]}") if name in metrics else ())
         for name, (service, robot) in plan.processes().items()
     }
-    placed = "without a robot" if left_out["robot"] else f"in {where}"
+    placed = "without a robot" if left_out["robot"] else f"in {chosen.name}"
     placed += f" on {plan.endpoint}, {access}"
     _run(replace(plan, flags=given), placed, metrics, [*pages.values()], browser=browser)
+
+
+class _Chosen(NamedTuple):
+    """Body of the robot: its name, the module that replaces the simulator, and its flags."""
+
+    name: str
+    modules: dict[str, str]
+    flags: tuple[str, ...]
+
+
+def _chosen_body(
+    body: RobotBody,
+    world: str | None,
+    simulator: options.Simulator,
+    size: StackSize,
+    files: StackFiles,
+) -> _Chosen:
+    """Return the body; UsageError for options that it does not have."""
+    module = body.other()
+    base = body.base()
+    if module is None and base is None:
+        place = world or options.DEFAULT_WORLD
+        options.read_world(place)
+        below = flags(root=files.root.resolve())
+        return _Chosen(place, {}, (*simulator.flags(place), *below))
+    for name, value in {"world": world, **asdict(simulator)}.items():
+        if value is not None:
+            raise UsageError(f"--{name}: unsupported by {module or body.body}; leave it out")
+    if size.robots > 1:
+        raise UsageError(f"--robots: unsupported: {module or body.body} is one robot")
+    if base is None:
+        return _Chosen(str(module), {"robot": str(module)}, ())
+    return _Chosen(base_name(*base), {"robot": f"services.{base[0]}"}, flags(robot_config=base[1]))
 
 
 def _run(

@@ -3,7 +3,8 @@
 import math
 import re
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
@@ -24,9 +25,10 @@ from services.experiments.words import counted, table
 from services.kit.errors import UsageError
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.world import Pose, World, WorldError
-from services.simulator.world.loading import Wishes, bounded, import_map
+from services.simulator.world.loading import RoleWishes, Wishes, bounded, import_map
 from services.simulator.world.osm import MapSurroundings
 from services.simulator.world.route import lane_graph, plan_route, route_length_m
+from services.simulator.world.scan import MESH_SUFFIX, Axis, RobotName, is_scan, scan_text
 from services.simulator.world.terrain import Terrain
 from smal.files.confined import ConfinedError, Work
 from smal.files.container import write_whole
@@ -50,16 +52,21 @@ _MOST_VIEWS: Final = 200
 
 @app.command("import")
 def import_world(
-    osm_map: Annotated[
+    source: Annotated[
         Path,
-        Argument(metavar="MAP.osm", help="OpenStreetMap extract: XML, .gz, .bz2 or .pbf."),
+        Argument(
+            metavar="FILE",
+            help="OpenStreetMap extract (XML, .gz, .bz2 or .pbf), or scan (.glb, .gltf, .obj, .ply).",
+        ),
     ],
     out: Annotated[Path, Option(help="World file, ending in .json.")],
     start: Annotated[
-        str | None, Option(metavar="X,Y,HEADING_DEG", help="Start of the robot.")
+        str | None,
+        Option("--start", "--from", metavar="X,Y[,HEADING_DEG]", help="Start of the robot."),
     ] = None,
     victim: Annotated[
-        str | None, Option(metavar="X,Y[,HEADING_DEG]", help="Position of the victim.")
+        str | None,
+        Option("--victim", "--to", metavar="X,Y[,HEADING_DEG]", help="Position of the victim."),
     ] = None,
     seed: Annotated[int, Option(min=0, help="Seed of start and victim; see above.")] = 0,
     around: Annotated[
@@ -69,57 +76,116 @@ def import_world(
         float | None,
         Option(min=50, max=5000, metavar="M", help="Half the side of the part to import."),
     ] = None,
+    scale: Annotated[
+        float | None,
+        Option(
+            min=1e-6, max=1e3, metavar="M", help="Length of a unit of a scan in metres (0.01 = cm)."
+        ),
+    ] = None,
+    up: Annotated[Axis | None, Option(help="Up axis of a scan.")] = None,
+    floor: Annotated[
+        float | None, Option(metavar="M", help="Height of the floor in a scan with several floors.")
+    ] = None,
+    robot: Annotated[RobotName | None, Option(help="Robot for a scan.")] = None,
+    step: Annotated[
+        float | None,
+        Option(min=0.01, max=1.0, metavar="M", help="Step in a scan that the robot can climb."),
+    ] = None,
 ) -> None:
-    """Convert an OpenStreetMap extract to a world.
+    """Convert an OpenStreetMap extract or a scan of a real place to a world.
 
-    Buildings (with courtyards, parts, roofs), roads with sidewalks and markings, water, woods,
+    Map: buildings (with courtyards, parts, roofs), roads with sidewalks and markings, water, woods,
     trees and barriers become a terrain. Invalid objects are left out and counted.
 
-    Start and victim come from the map's smal:role nodes, or are chosen by --seed: the victim beside
-    a wall near the middle, the start about 100 m of road away without a view of the victim. X and Y
-    are metres east and north of the map's middle; headings are degrees anticlockwise from east. To
-    move the victim later, edit its x and y in the JSON file.
+    Scan: the largest connected floor on which the robot fits becomes the world. Unit and up axis
+    are detected and reported. The file FILE.npz beside the world file holds the meshes.
 
-    Example: smal world import map.osm --out town.json --seed 3
+    Start and victim come from the map's smal:role nodes, or are chosen by --seed: the victim beside
+    a wall near the middle, the start a long way away without a view of the victim. X and Y are
+    metres east and north of the map's middle, or of the south-west corner of a scan's floor;
+    headings are degrees anticlockwise from east. To move the victim later, edit its x and y in the
+    JSON file.
+
+    Examples
+    --------
+    smal world import map.osm --out town.json --seed 3
+    smal world import house.glb --out house.json --from 1,2 --to 6,3.5
     """
     began_s = time.perf_counter()
     if out.suffix != ".json":
         raise UsageError(f"--out {out}: unsupported; the file name must end in .json")
     outputs.check_file(out, "--out")
-    wishes = Wishes(
-        start=_pose("--start", start, "X,Y,HEADING_DEG", (3,)),
-        victim=_pose("--victim", victim, "X,Y or X,Y,HEADING_DEG", (2, 3)),
+    wanted = "X,Y or X,Y,HEADING_DEG"
+    task = RoleWishes(
+        start=_pose("--start", start, wanted),
+        victim=_pose("--victim", victim, wanted),
+        ahead=start is not None and start.count(",") == 1,
         seed=seed,
-        around=_surroundings(around, radius),
     )
-    if not osm_map.is_file():
-        raise UsageError(f"{osm_map}: not found")
-    # The map of a page has no name.
-    inherited = re.fullmatch(r"/proc/self/fd/(\d+)", str(osm_map))
-    with outputs.writing(out, "--out") as file:
-        request = {
-            "map": str(osm_map),
-            "out": str(out),
-            "file": file.name,
-            "wishes": asdict(wishes),
-        }
-        descriptors = (int(inherited[1]),) if inherited else ()
-        rows = bounded("services.cli.world:make", request, osm_map, descriptors)
+    if not source.is_file():
+        raise UsageError(f"{source}: not found")
+    # The file of a page has no name.
+    inherited = re.fullmatch(r"/proc/self/fd/(\d+)", str(source))
+    descriptors = (int(inherited[1]),) if inherited else ()
+    request: dict[str, Any] = {"source": str(source), "out": str(out)}
+    with ExitStack() as files:
+        request["file"] = files.enter_context(outputs.writing(out, "--out")).name
+        if is_scan(source):
+            _refuse("a scan", {"--around": around, "--radius": radius})
+            request["wishes"] = _scan_wishes(task, scale, up, floor, robot, step)
+            mesh = outputs.writing(out.with_suffix(MESH_SUFFIX), "--out")
+            request["mesh"] = files.enter_context(mesh).name
+            function = "services.cli.world:make_from_scan"
+        else:
+            options_of_scans = {"--scale": scale, "--up": up, "--floor": floor}
+            _refuse("a map", options_of_scans | {"--robot": robot, "--step": step})
+            request["wishes"] = asdict(Wishes(task, _surroundings(around, radius)))
+            function = "services.cli.world:make"
+        rows = bounded(function, request, source, descriptors)
     rows.append(("time", f"{time.perf_counter() - began_s:.1f} s"))
     for line in table(rows, left=1):
         typer.echo(line)
     typer.echo(f"wrote {out}; next: smal demonstrate --world {out} --out DIR")
 
 
+def _refuse(kind: str, values: Mapping[str, object]) -> None:
+    """Reject options that a kind of source does not have."""
+    for option, value in values.items():
+        if value is not None:
+            raise UsageError(f"{option}: unsupported for {kind}; leave it out")
+
+
+def _scan_wishes(task: RoleWishes, *choices: float | str | None) -> dict[str, Any]:
+    names = ("scale", "up", "floor_m", "robot", "climb_m")
+    return {"task": asdict(task)} | dict(zip(names, choices, strict=True))
+
+
 def make(request: dict[str, Any], _work: Work) -> list[tuple[str, str]]:
     """Create a world file from a map in a child process and return its summary."""
     wishes = TypeAdapter(Wishes).validate_python(request["wishes"])
     try:
-        imported, text = import_map(Path(request["map"]), Path(request["out"]), wishes)
+        imported, text = import_map(Path(request["source"]), Path(request["out"]), wishes)
     except WorldError as error:
         raise ConfinedError(str(error)) from None
     Path(request["file"]).write_text(text)
     return list(_summary(imported))
+
+
+def make_from_scan(request: dict[str, Any], _work: Work) -> list[tuple[str, str]]:
+    """Create a world file and a mesh file from a scan in a child process; see `make`."""
+    from services.simulator.scanning.importing import ScanWishes, import_scan  # noqa: PLC0415 - trimesh is optional
+    from services.simulator.scanning.mesh_file import write_parts  # noqa: PLC0415
+
+    source = Path(request["source"])
+    wishes = TypeAdapter(ScanWishes).validate_python(request["wishes"])
+    try:
+        imported = import_scan(source, wishes)
+    except WorldError as error:
+        raise ConfinedError(str(error)) from None
+    Path(request["file"]).write_text(scan_text(imported.world, source.name))
+    with Path(request["mesh"]).open("wb") as file:
+        write_parts(file, imported.parts)
+    return list(imported.summary)
 
 
 def _numbers(option: str, text: str, wanted: str, counts: tuple[int, ...]) -> list[float]:
@@ -133,12 +199,11 @@ def _numbers(option: str, text: str, wanted: str, counts: tuple[int, ...]) -> li
     return numbers
 
 
-def _pose(option: str, text: str | None, wanted: str, counts: tuple[int, ...]) -> Pose | None:
+def _pose(option: str, text: str | None, wanted: str) -> Pose | None:
     if text is None:
         return None
-    x, y, heading_deg = (*_numbers(option, text, f"{wanted}, for example 12.5,-3,90", counts), 0.0)[
-        :3
-    ]
+    numbers = _numbers(option, text, f"{wanted}, for example 12.5,-3,90", (2, 3))
+    x, y, heading_deg = (*numbers, 0.0)[:3]
     return Pose(x, y, math.remainder(math.radians(heading_deg), math.tau))
 
 

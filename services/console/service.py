@@ -169,7 +169,7 @@ class ConsoleService:
                 self._say(f"{ask.recording} deleted")
 
     def make_world(self, name: str, osm_map: IO[bytes]) -> None:
-        """Start the conversion of a map to a world."""
+        """Start the conversion of a map or a scan to a world."""
         if name in str(self.live.health.detail("robot", "worlds")).split(", "):
             # Included worlds and the world of the start take precedence over an equal name.
             raise ServiceError(f"world {name} already exists; rename the file")
@@ -182,7 +182,7 @@ class ConsoleService:
             arguments=("world", "import", path),
             out=below(self.library.root, f"{WORLDS}/{name}.json"),
             hidden=path,
-            called=f"{name}.osm",
+            called=name,
             reads=osm_map,
         )
         self._jobs.begin(job)

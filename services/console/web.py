@@ -31,9 +31,9 @@ FULL = 4001
 TAKEN = 4002
 NONSENSE = 4003
 _DIGITS: Final = 9  # Maximum digits of a picture's number.
-#: Maximum bytes of a map, as in `smal world import`, and timeout of its upload (2 Mbit/s or more).
-_LARGEST_MAP: Final = 64 << 20
-_UPLOAD_S: Final = 300
+#: Maximum bytes of a map or scan, and timeout of its upload (2 Mbit/s or more).
+_LARGEST_MAP: Final = 128 << 20
+_UPLOAD_S: Final = 600
 _NOT_THEIRS: Final = "permission denied: take control first\n"
 _WORLD_NAME: Final[TypeAdapter[str]] = TypeAdapter(WorldName)
 
@@ -118,7 +118,7 @@ class Web:
             size += len(chunk)
             if size > _LARGEST_MAP:
                 raise HTTPException(
-                    413, f"map too large (maximum {_LARGEST_MAP / 1e6:.0f} MB); cut it smaller\n"
+                    413, f"file too large (maximum {_LARGEST_MAP / 1e6:.0f} MB); cut it smaller\n"
                 )
             await asyncio.to_thread(file.write, chunk)
         await asyncio.to_thread(file.flush)

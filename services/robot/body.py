@@ -2,14 +2,14 @@
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Final, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.base import Message, Velocity
 from schemas.rpc import ResetRequest
-from services.kit.node import Detail
+from services.kit.node import Detail, ServiceError
 from smal.camera import Camera
 from smal.obstacles.clearance import Mount
 
@@ -117,6 +117,12 @@ class Stops(Protocol):
         """Seconds from nominal speed to standstill."""
 
 
+#: Fields of a `ResetRequest` that change the conditions of an episode.
+CONDITIONS: Final = (
+    "start", "kidnap_tick", "victim", "obstacles", "people", "blocked", "world", "variation",
+)  # fmt: skip
+
+
 class Body(Stops, Protocol[V_co]):
     """Wheels and a camera.
 
@@ -124,6 +130,14 @@ class Body(Stops, Protocol[V_co]):
     """
 
     kinematics: Kinematics
+
+    @property
+    def frame_s(self) -> float:
+        """Time between two frames, seconds."""
+
+    @property
+    def conditions(self) -> Collection[str]:
+        """Names of the `CONDITIONS` that it can fulfil."""
 
     @property
     def camera(self) -> Camera | None:
@@ -150,3 +164,14 @@ class Body(Stops, Protocol[V_co]):
 
     def detail(self) -> Detail:
         """Return the body's part of the robot's status; thread-safe."""
+
+
+def check_conditions(body: Body[View], request: ResetRequest) -> None:
+    """Raise ServiceError for a requested condition that a body cannot fulfil."""
+    usual = ResetRequest(seed=0)
+    for name in CONDITIONS:
+        value = getattr(request, name)
+        if name not in body.conditions and value != getattr(usual, name):
+            raise ServiceError(
+                f"{body.name}: {name} {value} is unsupported by this body; leave it out"
+            )

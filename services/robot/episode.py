@@ -12,7 +12,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 from schemas.episode import Box, Judge, Outcome, Said
 from schemas.rpc import ResetRequest
-from services.robot.body import Body, View
+from services.robot.body import Body, View, check_conditions
 from services.robot.task import Task
 
 V = TypeVar("V", bound=View)
@@ -31,6 +31,7 @@ class RunningEpisode(Generic[V]):
     """An episode of a body, which drives between two frames; ServiceError if it cannot begin."""
 
     def __init__(self, body: Body[V], task: Task[V], request: ResetRequest) -> None:
+        check_conditions(body, request)
         self.request = request
         self.beginning = body.begin(request)
         self.outcome: Outcome | None = None

@@ -30,7 +30,11 @@ _STEPS: Final = 20  # Number of steps of a share: each change of it is published
 
 def guard_of(body: Body[View]) -> "Guard | None":
     """Return the guard of a body; None without a depth camera."""
-    return None if body.mount is None else Guard(body.mount, body.kinematics, body.braking_s)
+    return (
+        None
+        if body.mount is None
+        else Guard(body.mount, body.kinematics, body.braking_s, body.frame_s)
+    )
 
 
 class _Known:
@@ -59,10 +63,13 @@ class Guard:
     One thread calls ``look``. Any thread can call ``share``, which never waits for ``look``.
     """
 
-    def __init__(self, mount: Mount, kinematics: Kinematics, braking_s: float) -> None:
+    def __init__(
+        self, mount: Mount, kinematics: Kinematics, braking_s: float, frame_s: float = TICK_S
+    ) -> None:
         self._mount = mount
         self._kinematics = kinematics
         self._braking_s = braking_s
+        self._frame_s = frame_s
         self._around = Surroundings(mount.radius_m)  # Used by ``look`` alone.
         self._capture_time = CaptureTime(mount)
         # Held for the few lines that grant a share, or replace the result.
@@ -108,10 +115,9 @@ class Guard:
                 return 0.0
             # Distance travelled since the image.
             free_m -= age_s * speed_m_s * max(known.granted, self._before.granted)
-            # The robot continues for a tick before its speed can change.
-            share = (
-                math.floor(most_speed(free_m, speed_m_s, self._braking_s, TICK_S) * _STEPS) / _STEPS
-            )
+            # The robot continues for a frame before its speed can change.
+            most = most_speed(free_m, speed_m_s, self._braking_s, self._frame_s)
+            share = math.floor(most * _STEPS) / _STEPS
             # A concurrent result is older than this share.
             for one in (known, self._known):
                 one.granted = max(one.granted, share)

@@ -1,5 +1,6 @@
 """Readings of a body's sensors as messages."""
 
+import math
 from collections.abc import Iterable
 from typing import Final
 
@@ -18,7 +19,8 @@ def rounded(reading: OdometryReading) -> OdometryReading:
 
 def odometry_message(header: Message, reading: OdometryReading) -> Odometry:
     """Return the message of an odometry reading."""
-    return Odometry.after(header, **rounded(reading)._asdict())
+    within = math.remainder(reading.heading_rad, math.tau)
+    return Odometry.after(header, **rounded(reading._replace(heading_rad=within))._asdict())
 
 
 def imu_message(header: Message, readings: Iterable[ImuReading]) -> Imu:

@@ -1,4 +1,4 @@
-"""Passing of time in an episode: real time here, the simulator's lockstep elsewhere."""
+"""Passing of time in an episode: real time here, `lockstep` beside it."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping

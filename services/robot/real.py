@@ -1,4 +1,4 @@
-"""Real bases: settings from a file, requests that only a simulator fulfils, and views."""
+"""Real bases: settings from a file, and views."""
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -11,7 +11,6 @@ from ruamel.yaml.error import YAMLError
 
 from schemas.base import Message
 from schemas.codec import describe, printable
-from schemas.rpc import ResetRequest
 from services.kit.errors import UsageError
 from services.kit.node import ServiceError
 from services.robot.body import ImuReading, Kinematics, OdometryReading
@@ -61,6 +60,10 @@ class BaseSettings(RobotSettings):
 C = TypeVar("C", bound=BaseConfig)
 
 
+#: Conditions that a person fulfils at a real robot.
+BY_HAND: Final = frozenset({"start", "victim"})
+
+
 @dataclass(frozen=True, eq=False)
 class RealView:
     """Readings of a real base as `services.robot.body.View`."""
@@ -75,16 +78,6 @@ class RealView:
     def more(self, _header: Message, _made: Collection[str] = ()) -> Iterator[Message]:
         """Yield nothing: the base has no other known sensors."""
         yield from ()
-
-
-def check_real(name: str, request: ResetRequest) -> None:
-    """Raise ServiceError for a request that only a simulator fulfils."""
-    if request.kidnap_tick is not None:
-        raise ServiceError(f"{name} is real: kidnap_tick is unsupported; carry it by hand")
-    if request.obstacles or request.people or request.blocked:
-        raise ServiceError(f"{name} is real: obstacles are unsupported; place them by hand")
-    if request.world is not None or request.variation is not None:
-        raise ServiceError(f"{name} is real: world and variation are unsupported")
 
 
 def known_presets(presets: Path) -> list[str]:

@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final, Generic, TypeVar
 
-from schemas.base import NO_EPISODE, TICK_S, Message
+from schemas.base import NO_EPISODE, Message
 from schemas.camera import CompressedImage, DepthImage
 from schemas.command import Command, CommandApplied
 from schemas.episode import Episode as EpisodeEvent
@@ -73,7 +73,7 @@ class EpisodeRunner(Generic[V]):
         self.wake: Callable[[], None] = lambda: None  # Requests a ``poll``; must return at once.
         # Whether stops or commands might not reach the robot.
         self.deaf: Callable[[], bool] = lambda: False
-        self.frame_s = TICK_S  # Minimum time between two frames in real time.
+        self.frame_s = body.frame_s  # Minimum time between two frames in real time.
         self.task = task
         self.radio = False  # Whether the driver is reached by radio; see `services.robot.radio`.
         # JPEG quality of published images; None: as the camera provides them.

@@ -57,9 +57,9 @@ class RobotSettings(ServiceSettings):
     that sends heartbeats. If an operator is present, the robot stops without their heartbeat in
     any case.
     """
-    frames_hz: Annotated[float, Field(ge=1, le=10)] = 10.0
-    """Maximum camera frames a second in real time; lower it for a small machine. Below 4, depth
-    images are too old to drive.
+    frames_hz: Annotated[float, Field(ge=1, le=10)] | None = None
+    """Maximum camera frames a second in real time, by default the body's own (10); lower it for a
+    small machine. Below 4, depth images are too old to drive.
     """
     radio: bool = False
     """Whether the driver is connected by Wi-Fi: commands are valid for 0.5 s, images are JPEG of
@@ -267,7 +267,8 @@ def serve_robot(
             paces=paces,
             clocks=clocks,
         )
-        runner.frame_s = 1.0 / settings.frames_hz
+        if settings.frames_hz is not None:
+            runner.frame_s = max(1.0 / settings.frames_hz, body.frame_s)
         runner.radio = settings.radio
         runner.jpeg_quality = settings.jpeg_quality or (radio.QUALITY if settings.radio else None)
         service = RobotService(runner, node)

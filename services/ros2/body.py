@@ -7,14 +7,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final, Protocol
 
-from schemas.base import STANDING, Velocity
+from schemas.base import STANDING, TICK_S, Velocity
 from schemas.rpc import ResetRequest
 from services.kit.node import Detail, ServiceError
 from services.kit.pixels import BitDepth
 from services.robot.body import Beginning, ImuReading
 from services.robot.clock import now_s
 from services.robot.gate import MAX_AGE_S
-from services.robot.real import RealView, check_real
+from services.robot.real import BY_HAND, RealView
 from services.ros2.config import Ros2Config
 from services.ros2.messages import MessageError
 from services.ros2.senses import Frame, Senses, picture
@@ -67,6 +67,8 @@ class Ros2Body:
         self._asked = STANDING
 
     # Its scanner and bumpers forbid movements, see `drive`.
+    frame_s = TICK_S
+    conditions = BY_HAND
     mount = None
 
     @property
@@ -109,7 +111,6 @@ class Ros2Body:
 
     def begin(self, request: ResetRequest) -> Beginning:
         """Prepare an episode; ServiceError if inputs are silent or the request is unsupported."""
-        check_real(self.name, request)
         fit = "dialect, domain, namespace, distribution and the topics' names (ros2 topic list)"
         hint = f"does {self._config.router} reach it, and do {fit} fit?"
         frame = self._senses.frame

@@ -4,14 +4,14 @@ import logging
 from collections.abc import Callable
 from typing import Final
 
-from schemas.base import STANDING, Velocity
+from schemas.base import STANDING, TICK_S, Velocity
 from schemas.rpc import ResetRequest
 from services.kit.jpeg import encode_jpeg
 from services.kit.node import Detail, ServiceError
 from services.robot.body import Beginning
 from services.robot.clock import SILENCE_S, now_s
 from services.robot.gate import MAX_AGE_S
-from services.robot.real import RealView, check_real
+from services.robot.real import BY_HAND, RealView
 from services.serial.camera import VideoSource
 from services.serial.config import SerialConfig
 from services.serial.link import LineLink
@@ -30,6 +30,8 @@ class SerialBody:
     while it drives, the camera is frozen: the robot then stands until it is armed.
     """
 
+    frame_s = TICK_S
+    conditions = BY_HAND
     mount = None  # No depth camera.
 
     def __init__(
@@ -102,7 +104,6 @@ class SerialBody:
 
     def begin(self, request: ResetRequest) -> Beginning:
         """Prepare an episode; ServiceError if an input is missing or the request is unsupported."""
-        check_real(self.name, request)
         picture = self._camera.picture
         lacks = self._lacks()
         if lacks is not None or picture is None:

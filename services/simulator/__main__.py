@@ -4,11 +4,11 @@ import logging
 
 from services.kit.node import Node
 from services.kit.process import configure_logging, read_settings, run_service
+from services.robot.lockstep import Lockstep
 from services.robot.pace import Paces
 from services.robot.service import ROBOT, serve_robot
 from services.robot.task import OperatorsTask
 from services.simulator.body import SimulatedBody
-from services.simulator.lockstep import Lockstep
 from services.simulator.sensors.camera import FindVictim, SimulatedView
 from services.simulator.worlds import SimulatorSettings, Worlds
 

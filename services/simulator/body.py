@@ -6,11 +6,11 @@ from typing import Final
 
 import shapely
 
-from schemas.base import STANDING, Velocity
+from schemas.base import STANDING, TICK_S, Velocity
 from schemas.rpc import ResetRequest
 from schemas.topics import DEPTH, OVERHEAD, Topic
 from services.kit.node import Detail, ServiceError
-from services.robot.body import Beginning, Kinematics
+from services.robot.body import CONDITIONS, Beginning, Kinematics
 from services.robot.clock import now_s
 from services.simulator.base import STEP_S
 from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, SimulatedView
@@ -46,6 +46,8 @@ class SimulatedBody:
     """
 
     watchdog_s = WATCHDOG_S
+    frame_s = TICK_S
+    conditions = CONDITIONS
 
     def __init__(
         self,

@@ -53,6 +53,7 @@ class RobotModel:
     radius_m: float
     """Radius of the smallest circle about the axis's middle that contains the robot."""
     height_m: float  # Height of the body without the camera mast.
+    climb_m: float  # Height of steps and bumps in a scan's floor that it drives over.
     mass_kg: float
     tag: TagMount | None = None
 
@@ -62,6 +63,6 @@ class RobotModel:
         return max(self.height_m, self.camera.height_m)
 
 
-_ROBOTS: Final = table("robots", dict[str, RobotModel])
-RESCUEBOT: Final = _ROBOTS["rescuebot"]
-TURTLEBOT: Final = _ROBOTS["turtlebot"]
+ROBOTS: Final = table("robots", dict[str, RobotModel])
+RESCUEBOT: Final = ROBOTS["rescuebot"]
+TURTLEBOT: Final = ROBOTS["turtlebot"]

@@ -1,4 +1,4 @@
-"""Named variations of the conditions: daylight, haze, façades, moved objects, exposure."""
+"""Named variations of the conditions: daylight, haze, façades, moved objects, camera."""
 
 import math
 from dataclasses import dataclass, replace
@@ -46,6 +46,8 @@ class Variation:
     """Meteorological visibility: 5 % of an object's contrast is left at this distance. None: clear
     air."""
     exposure_ev: float = 0.0  # Overexposure of the camera, stops.
+    noise: float = 0.0  # Standard deviation of the camera's noise, levels of 0 to 255.
+    defocus: float = 0.0  # Standard deviation of the lens blur, thousandths of the image width.
     facade_seed: int = 0  # Seed of the façades; 0 keeps them.
     # Seed of the positions of furniture and trees; 0 keeps them.
     clutter_seed: int = 0

@@ -26,6 +26,9 @@ class BodyMesh:
     limbs: list[tuple[str, Vector, Vector, tuple[float, float], int]]
 
 
+#: Things of the victim's size that can replace it.
+OUTDOOR_DECOYS: Final = ("sacks", "trunk", "barrels")
+INDOOR_DECOYS: Final = ("bottle", "cartons", "bin")
 _BODIES: Final = table("bodies", dict[str, BodyMesh])
 
 

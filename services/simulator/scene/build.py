@@ -1,6 +1,5 @@
 """Build meshes, pictures and lights of a world for any renderer, with its sky and trees."""
 
-import math
 import zlib
 from collections.abc import Iterable, Iterator
 from typing import Final
@@ -8,19 +7,18 @@ from typing import Final
 import numpy as np
 from shapely import Point, Polygon
 
-from services.simulator.scene import bodies, room
+from services.simulator.scene import bodies, room, scan
 from services.simulator.scene.buildings import barriers, buildings
 from services.simulator.scene.ground import cast_shade, ground
-from services.simulator.scene.meshes import Mesh, ball, make, tube
-from services.simulator.scene.sky import BOTTOM_DEG, TOP_DEG, paint_sky
-from services.simulator.scene.surfaces import Finish, Piece, SceneSurfaces, Surface, surfaces
+from services.simulator.scene.meshes import Mesh, ball, tube
+from services.simulator.scene.sky import outdoor_light, sky_dome
+from services.simulator.scene.surfaces import Finish, Piece, SceneSurfaces, surfaces
 from services.simulator.variation import Daylight
 from services.simulator.world.place import World
 from services.simulator.world.room import Room
+from services.simulator.world.scan import ScannedPlace
 from services.simulator.world.terrain import Terrain, Tree, TreeKind
 
-_SKY_RADIUS_M: Final = 900.0
-_SKY_SEED: Final = 7
 #: For each kind: radius of the crown, and height of its lower end, as fractions of the tree height.
 _CROWN: Final[dict[TreeKind, tuple[float, float]]] = {
     "round": (0.34, 0.28),
@@ -43,6 +41,8 @@ def build_scene(world: World, light: Daylight) -> SceneSurfaces:
     terrain = world.place
     if isinstance(terrain, Room):
         return room.build(terrain, light)
+    if isinstance(terrain, ScannedPlace):
+        return scan.build(terrain, light)
     if not isinstance(terrain, Terrain):
         raise TypeError(f"unsupported place: {type(terrain).__name__}")
     # A weak sun casts no visible shadows.
@@ -53,28 +53,13 @@ def build_scene(world: World, light: Daylight) -> SceneSurfaces:
     )
     # Early draws occlude later draws; the ground lies behind everything, so it comes last.
     things = [*buildings(terrain.buildings), *barriers(terrain.barriers), *trees(terrain.trees)]
-    # The sky opposite the sun is brighter, so that shaded walls keep their shape.
-    east, north = -0.9 * np.array(light.direction[:2]) / max(math.hypot(*light.direction[:2]), 1e-9)
     return SceneSurfaces(
-        ambient=light.sky,
-        lights=((light.direction, light.sun), ((float(east), float(north), -0.2), light.fill)),
+        *outdoor_light(light),
         still=(*surfaces(things), *surfaces(ground(terrain, shade))),
         victim=surfaces(bodies.body("person")),
-        decoys=tuple(surfaces(bodies.body(name)) for name in ("sacks", "trunk", "barrels")),
-        sky=_sky(light),
+        decoys=tuple(surfaces(bodies.body(name)) for name in bodies.OUTDOOR_DECOYS),
+        sky=sky_dome(light),
     )
-
-
-def _sky(light: Daylight) -> Surface:
-    """Return the sky dome; it moves with the camera."""
-    detail = 24
-    dome = ball((0, 0, 0), (1, 1, 1), detail)
-    elevation = np.degrees(np.arcsin(np.clip(dome.vertices[:, 2], -1, 1)))
-    uvs = np.column_stack(
-        [dome.uvs[:, 0] / 2, np.clip((TOP_DEG - elevation) / (TOP_DEG - BOTTOM_DEG), 0.002, 0.998)]
-    )
-    inside = make(dome.vertices * _SKY_RADIUS_M, dome.normals, uvs, dome.triangles).flipped()
-    return Surface(inside, paint_sky(_SKY_SEED, light), glows=True)
 
 
 def trees(items: Iterable[Tree]) -> Iterator[Piece]:

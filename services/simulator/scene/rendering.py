@@ -1,5 +1,6 @@
 """The robot's camera and the overhead camera, rendered by SAPIEN."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from functools import lru_cache
@@ -16,7 +17,7 @@ from services.kit.going_on import each
 from services.simulator.scene.bodies import body
 from services.simulator.scene.build import build_scene
 from services.simulator.scene.furniture import furnish
-from services.simulator.scene.surfaces import Surface, surfaces
+from services.simulator.scene.surfaces import Surface, Tile, surfaces
 from services.simulator.scene.vulkan import cannot_render, load_sapien
 from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, CameraSettings
 from services.simulator.sensors.readings import LEVEL, Tilt
@@ -29,6 +30,8 @@ _SHADER: Final = Path(__file__).parent / "shader"
 _LIGHTS: Final = 3
 _DARK: Final = ((0.0, 0.0, -1.0), (0.0, 0.0, 0.0))
 _NEAR_M: Final = 0.1
+# Margin of the field of view for the tilt of the camera, degrees.
+_TILT_DEG: Final = 3.0
 _FAR_M: Final = 2000.0
 #: Labels of pixels in the alpha channel, 0 to 255; our shader takes them from the material. Colours
 #: are blended with earlier draws by alpha, so labels are near 255, and the victim and the robot are
@@ -52,6 +55,36 @@ def load_renderer() -> Any:
     render.set_camera_shader_dir(str(_SHADER))
     render.set_picture_format("Color", "r8g8b8a8unorm")
     return sapien
+
+
+class _ShownTile:
+    """Bodies of a tile, near and far, with its bounds (2,) in the plan."""
+
+    def __init__(
+        self,
+        near: Any,
+        far: Any,
+        near_m: float,
+        low: NDArray[np.float32],
+        high: NDArray[np.float32],
+    ) -> None:
+        self._near = near
+        self._far = far
+        self.near_m = near_m
+        self._low = low
+        self._high = high
+        east_west, north_south = np.column_stack([low, high])
+        self.corners = np.array(list(itertools.product(east_west, north_south)))
+
+    def away_m(self, x: float, y: float) -> float:
+        """Return the distance of a place from the bounds."""
+        here = np.array([x, y])
+        return float(np.hypot(*np.maximum(np.maximum(self._low - here, here - self._high), 0.0)))
+
+    def show(self, *, seen: bool, near: bool) -> None:
+        """Show one of the bodies, or neither."""
+        self._near.visibility = float(seen and near)
+        self._far.visibility = float(seen and not near)
 
 
 class SceneCamera:
@@ -78,7 +111,9 @@ class SceneCamera:
             self._obstacles: list[Any] = []
             self._people: list[Any] = []
             self._walk: Sequence[Pose] = ()
-            self._add(self._body(scene.still, STILL))
+            if scene.still:
+                self._add(self._body(scene.still, STILL))
+            self._tiles = self._add_tiles(scene.tiles)
             self._sky = None if scene.sky is None else self._add(self._body([scene.sky], SKY))
             self._camera = self._lens(settings.width, settings.height, self.focal_px)
             self._mast = self._add(self._camera)
@@ -144,6 +179,8 @@ class SceneCamera:
         if self._above is None:
             raise LookupError("this place has no overhead camera")
         self._put_robot(pose)
+        for tile in self._tiles:
+            tile.show(seen=True, near=True)
         self._scene.update_render()
         self._above.take_picture()
         # The scene no longer matches the image of the robot's own camera.
@@ -160,6 +197,7 @@ class SceneCamera:
             return
         self._put_robot(pose)
         at = (*pose.at(self._mount.ahead_m), self._mount.height_m)
+        self._hide_tiles(pose)
         mast = self._sapien.Pose(at, _turn(pose.heading, tilt))
         self._mast.set_pose(mast)
         if self._sky is not None:
@@ -168,21 +206,51 @@ class SceneCamera:
         self._camera.take_picture()
         self._seen_from = pose, tilt
 
+    def _add_tiles(self, tiles: Sequence[Tile]) -> list["_ShownTile"]:
+        textures: dict[int, Any] = {}
+        found = []
+        for tile in each(tiles):
+            near, far = (self._body([one], STILL, textures) for one in (tile.near, tile.far))
+            self._add(near)
+            self._add(far)
+            xy = tile.near.mesh.vertices[:, :2]
+            found.append(_ShownTile(near, far, tile.near_m, xy.min(axis=0), xy.max(axis=0)))
+        return found
+
+    def _hide_tiles(self, pose: Pose) -> None:
+        """Hide the tiles behind the camera and beside its field of view."""
+        x, y = pose.at(self._mount.ahead_m)
+        cos = math.cos(pose.heading)
+        sin = math.sin(pose.heading)
+        slope = math.tan(math.radians(FIELD_OF_VIEW_DEG / 2 + _TILT_DEG))
+        for tile in self._tiles:
+            corners = tile.corners - (x, y)
+            ahead = corners @ (cos, sin)
+            left = corners @ (-sin, cos)
+            beside = (left > slope * ahead).all() or (-left > slope * ahead).all()
+            tile.show(seen=not (beside or (ahead < 0).all()), near=tile.away_m(x, y) < tile.near_m)
+
     def _put_robot(self, pose: Pose) -> None:
         self._robot.set_pose(self._sapien.Pose((pose.x, pose.y, 0.0), _turn(pose.heading)))
 
-    def _body(self, surfaces: Sequence[Surface], label: int) -> Any:
-        """Build a body of the surfaces with a pixel `label`; each picture is one material."""
+    def _body(
+        self, surfaces: Sequence[Surface], label: int, textures: dict[int, Any] | None = None
+    ) -> Any:
+        """Build a body of the surfaces with a pixel `label`; `textures` are shared by picture."""
         render = self._sapien.render
-        materials = dict[int, Any]()
+        known = {} if textures is None else textures
+        materials = dict[tuple[object, ...], Any]()
         body = render.RenderBodyComponent()
         for surface in each(surfaces):
             mesh = surface.mesh
-            picture = surface.picture
-            if id(picture) not in materials:
-                materials[id(picture)] = _material(render, surface, label)
+            picture = id(surface.picture)
+            if picture not in known:
+                known[picture] = _texture(render, surface.picture)
+            key = picture, surface.glows, surface.tint
+            if key not in materials:
+                materials[key] = _material(render, known[picture], surface, label)
             arrays = mesh.vertices, mesh.triangles, mesh.normals, mesh.uvs
-            body.attach(render.RenderShapeTriangleMesh(*arrays, materials[id(picture)]))
+            body.attach(render.RenderShapeTriangleMesh(*arrays, materials[key]))
         return body
 
     def _add(self, component: Any) -> Any:
@@ -210,16 +278,18 @@ class SceneCamera:
         return camera
 
 
-def _material(render: Any, surface: Surface, label: int) -> Any:
-    height, width, _ = surface.picture.shape
-    opaque = np.dstack([surface.picture, np.full((height, width), 255, dtype=np.uint8)])
+def _texture(render: Any, picture: NDArray[np.uint8]) -> Any:
+    height, width, _ = picture.shape
+    opaque = np.dstack([picture, np.full((height, width), 255, dtype=np.uint8)])
     levels = int(math.log2(max(height, width))) + 1
-    texture = render.RenderTexture2D(
-        opaque, "R8G8B8A8Unorm", levels, "linear", "repeat", srgb=False
-    )
+    return render.RenderTexture2D(opaque, "R8G8B8A8Unorm", levels, "linear", "repeat", srgb=False)
+
+
+def _material(render: Any, texture: Any, surface: Surface, label: int) -> Any:
     material = render.RenderMaterial(
-        base_color=[0.0, 0.0, 0.0, 1.0], specular=0.0, roughness=label / 255, metallic=0.0
-    )
+        base_color=[0.0, 0.0, 0.0, 1.0], specular=0.0, roughness=label / 255, metallic=0.0,
+        emission=[*surface.tint, 1.0],
+    )  # fmt: skip
     if surface.glows:
         material.set_emission_texture(texture)
     else:

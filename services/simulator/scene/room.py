@@ -64,9 +64,7 @@ def build(room: Room, light: Daylight) -> SceneSurfaces:
     corners = [(0.0, 0.0, 0.0), (x, 0.0, 0.0), (x, y, 0.0), (0.0, y, 0.0)]
     tag = room.robot.tag
     return SceneSurfaces(
-        # The daylight scales intensity and colour.
-        ambient=_times(_AMBIENT, light.lamps),
-        lights=tuple((to, _times(colour, light.lamps)) for to, colour in _LAMPS),
+        *indoor_light(light),
         # Front to back, so that hidden pixels are skipped.
         still=(
             *surfaces([*furniture, *hung]),
@@ -80,12 +78,18 @@ def build(room: Room, light: Daylight) -> SceneSurfaces:
             Surface(quads([corners], [UPRIGHT]), paint_floor(room)),
         ),
         victim=surfaces(bodies.body("nao")),
-        decoys=tuple(surfaces(bodies.body(name)) for name in ("bottle", "cartons", "bin")),
+        decoys=tuple(surfaces(bodies.body(name)) for name in bodies.INDOOR_DECOYS),
         robot=(
             *surfaces(bodies.turtlebot(room.robot)),
             *(() if tag is None else (bodies.tag(tag),)),
         ),
     )
+
+
+def indoor_light(light: Daylight) -> tuple[Vector, tuple[tuple[Vector, Vector], ...]]:
+    """Return the ambient light, and the directions and colours of the lamps in a daylight."""
+    lamps = tuple((to, _times(colour, light.lamps)) for to, colour in _LAMPS)
+    return _times(_AMBIENT, light.lamps), lamps
 
 
 def _times(colour: Vector, other: Vector) -> Vector:

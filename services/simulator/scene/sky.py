@@ -1,14 +1,20 @@
-"""Picture of sky and horizon; clouds differ by seed, the skyline is constant."""
+"""Sky dome and daylight; clouds differ by seed, the skyline is constant."""
 
+import math
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from services.simulator.scene.meshes import ball, make
+from services.simulator.scene.surfaces import Surface, Vector
 from services.simulator.scene.textures import Picture, as_picture, layered, noise
 from services.simulator.variation import Daylight
 
+_RADIUS_M: Final = 900.0
+_DOME_DETAIL: Final = 24
+_SEED: Final = 7
 _SKY_SHAPE: Final = (1024, 4096)
 #: Elevation at the top and the bottom of the picture, degrees.
 TOP_DEG: Final = 90.0
@@ -17,6 +23,25 @@ _FAIR_HORIZON: Final = np.array([206.0, 218.0, 228.0])
 _CLOUDS: Final = np.array([246.0, 246.0, 244.0])
 _HILLS: Final = np.array([122.0, 134.0, 138.0])
 _TREES: Final = np.array([86.0, 104.0, 78.0])
+
+
+def outdoor_light(light: Daylight) -> tuple[Vector, tuple[tuple[Vector, Vector], ...]]:
+    """Return the ambient light, and the directions and colours of the lights."""
+    # The sky opposite the sun is brighter, so that shaded walls keep their shape.
+    east, north = -0.9 * np.array(light.direction[:2]) / max(math.hypot(*light.direction[:2]), 1e-9)
+    opposite = (float(east), float(north), -0.2)
+    return light.sky, ((light.direction, light.sun), (opposite, light.fill))
+
+
+def sky_dome(light: Daylight) -> Surface:
+    """Return the sky dome; it moves with the camera."""
+    dome = ball((0, 0, 0), (1, 1, 1), _DOME_DETAIL)
+    elevation = np.degrees(np.arcsin(np.clip(dome.vertices[:, 2], -1, 1)))
+    uvs = np.column_stack(
+        [dome.uvs[:, 0] / 2, np.clip((TOP_DEG - elevation) / (TOP_DEG - BOTTOM_DEG), 0.002, 0.998)]
+    )
+    inside = make(dome.vertices * _RADIUS_M, dome.normals, uvs, dome.triangles).flipped()
+    return Surface(inside, paint_sky(_SEED, light), glows=True)
 
 
 @lru_cache(maxsize=2)

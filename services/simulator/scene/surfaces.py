@@ -18,11 +18,23 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A mesh with a picture, (h, w, 3) uint8 RGB; `glows` disables lighting."""
+    """A mesh with a picture, (h, w, 3) uint8 RGB; `glows` disables lighting.
+
+    `tint` multiplies the colours of a picture that glows.
+    """
 
     mesh: Mesh
     picture: Picture
     glows: bool = False
+    tint: Vector = (1.0, 1.0, 1.0)
+
+
+class Tile(NamedTuple):
+    """A part of a large scene, drawn only in view, and from afar with fewer triangles."""
+
+    near: Surface
+    far: Surface
+    near_m: float  # Distance from which the far surface is drawn.
 
 
 class SceneSurfaces(NamedTuple):
@@ -37,6 +49,7 @@ class SceneSurfaces(NamedTuple):
     # The robot about its own origin, x forward; empty without an overhead camera.
     robot: tuple[Surface, ...] = ()
     sky: Surface | None = None  # Dome that moves with the camera; None under a ceiling.
+    tiles: tuple[Tile, ...] = ()  # Further static surfaces.
 
 
 class Finish(NamedTuple):

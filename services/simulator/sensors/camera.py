@@ -1,6 +1,7 @@
 """The robot's camera: settings, image effects (haze, blur, exposure), and views."""
 
 import math
+import zlib
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -98,6 +99,13 @@ def exposure(stops: float) -> NDArray[np.uint8]:
     return np.asarray(np.rint(255 * again), dtype=np.uint8)
 
 
+def noisy(image: NDArray[np.uint8], deviation: float) -> NDArray[np.uint8]:
+    """Add noise of a standard deviation (levels) to an image; equal images get equal noise."""
+    rng = np.random.default_rng(zlib.crc32(image.tobytes()))
+    noise = deviation * rng.standard_normal(image.shape, dtype=np.float32)
+    return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
+
+
 class Lens(Protocol):
     """Interface of a renderer of a world."""
 
@@ -164,8 +172,13 @@ class SimulatedView:
         if variation.visibility_m is not None:
             image = hazy(image, self.depth_m, variation.visibility_m, variation.light.horizon)
         image = blur(image, self.tilt_rate, camera.focal_px)
+        if variation.defocus:
+            sigma_px = variation.defocus * image.shape[1] / 1000
+            image = np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), dtype=np.uint8)
         if variation.exposure_ev:
             image = np.asarray(cv2.LUT(image, exposure(variation.exposure_ev)), dtype=np.uint8)
+        if variation.noise:
+            image = noisy(image, variation.noise)
         return image
 
     @cached_property

@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -18,8 +18,9 @@ from schemas.codec import describe, printable
 from services.kit.going_on import go_on
 from services.simulator.world.osm import Extract, MapSurroundings, read_osm
 from services.simulator.world.place import Pose, World, WorldError
-from services.simulator.world.room import RoomFile
+from services.simulator.world.room import Room, RoomFile
 from services.simulator.world.route import lane_graph, obstacles_of, plan_route
+from services.simulator.world.scan import ScanFile
 from services.simulator.world.survey import terrain_from
 from services.simulator.world.task import choose_roles
 from services.simulator.world.terrain import Terrain, TerrainFile, terrain_text
@@ -32,21 +33,28 @@ LARGEST_FILE: Final = 32 * 1024 * 1024
 MOST_MEMORY: Final = 4 * 2**30  # Memory limit of the child process that loads a world, bytes.
 # Counted before parsing: an empty list takes three bytes of the file and sixty of memory.
 _MOST_OF: Final = {b"[": 1_500_000, b"{": 500_000, b",": 5_000_000}
-_FILE: Final[TypeAdapter[RoomFile | TerrainFile]] = TypeAdapter(
-    Annotated[RoomFile | TerrainFile, Field(discriminator="format")]
+_FILE: Final[TypeAdapter[RoomFile | ScanFile | TerrainFile]] = TypeAdapter(
+    Annotated[RoomFile | ScanFile | TerrainFile, Field(discriminator="format")]
 )
 # Lane points this close count as on the route, which omits points on straight legs.
 _ON_ROUTE_M: Final = 0.03
 
 
 @dataclass(frozen=True)
+class RoleWishes:
+    """Start and victim by hand, in metres of the world; None for the rule."""
+
+    start: Pose | None = None
+    victim: Pose | None = None
+    ahead: bool = False  # Whether the start faces along the route.
+    seed: int = 0  # Another seed gives another task by rule.
+
+
+@dataclass(frozen=True)
 class Wishes:
     """Task and extent that a user requests for a map."""
 
-    start: Pose | None = None
-    # Poses by hand, in metres of the world; None for the map's tags, else the rule.
-    victim: Pose | None = None
-    seed: int = 0  # Another seed gives another task by rule.
+    task: RoleWishes = field(default_factory=RoleWishes)  # The map's tags come before the rule.
     around: MapSurroundings | None = None  # Part of the map to read; None for the whole map.
 
 
@@ -104,14 +112,15 @@ def bounded(function: str, request: object, source: Path, pass_fds: Sequence[int
 def world_of_map(path: Path, wishes: Wishes = Wishes()) -> World:
     """Convert an OpenStreetMap file to a world; see `load_world`."""
     extract = read_osm(path, wishes.around)
-    with _naming(path):
+    with naming(path):
         name = re.sub(r"(\.osm)?\.\w+$", "", path.name)
         terrain = terrain_from(extract, name, path.name)
         _check_content(terrain)
-        start = wishes.start or _role(extract, "start")
-        victim = wishes.victim or _role(extract, "victim")
-        world = World(terrain, *choose_roles(terrain, start, victim, wishes.seed))
-        _check_task(world)
+        task = wishes.task
+        start = task.start or _role(extract, "start")
+        victim = task.victim or _role(extract, "victim")
+        world = turned_ahead(World(terrain, *choose_roles(terrain, start, victim, task.seed)), task)
+        check_task(world)
     return world
 
 
@@ -174,16 +183,17 @@ def _read(path: Path) -> bytes:
 
 def world_of_text(data: bytes, path: Path) -> World:
     """Parse a world file; `path` gives the name of the world."""
-    with _naming(path):
-        world = _FILE.validate_json(data).world(path.stem)
+    with naming(path):
+        world = _FILE.validate_json(data).world(path)
         if isinstance(world.place, Terrain):
             _check_content(world.place)
-            _check_task(world)
+        if not isinstance(world.place, Room):  # A room has checked its task.
+            check_task(world)
     return world
 
 
 @contextmanager
-def _naming(path: Path) -> Iterator[None]:
+def naming(path: Path) -> Iterator[None]:
     """Prefix errors about a world with its file, in one line."""
     try:
         yield
@@ -200,13 +210,22 @@ def _naming(path: Path) -> Iterator[None]:
         raise WorldError(f"{path}: {error}") from None
 
 
+def turned_ahead(world: World, task: RoleWishes) -> World:
+    """Turn the start along the route if the task requests it."""
+    if not task.ahead:
+        return world
+    here, there = plan_route(world, (world.start.x, world.start.y))[:2]
+    east, north = (there - here).tolist()
+    return replace(world, start=replace(world.start, heading=math.atan2(north, east)))
+
+
 def _check_content(terrain: Terrain) -> None:
     if not terrain.buildings or not terrain.roads:
         missing = "buildings" if not terrain.buildings else "roads"
         raise WorldError(f"the map has no {missing}; a world needs both buildings and roads")
 
 
-def _check_task(world: World) -> None:
+def check_task(world: World) -> None:
     """Reject a start or victim in an obstacle, and a victim without a route."""
     for name, pose, radius_m in (
         ("start", world.start, world.robot.radius_m),

@@ -13,6 +13,7 @@ from shapely import LineString
 from services.simulator.world.furniture import FurnitureKind
 from services.simulator.world.place import World
 from services.simulator.world.room import FittingKind, Room
+from services.simulator.world.scan import ScannedPlace
 from services.simulator.world.terrain import AreaKind, BarrierKind, RoadKind, Terrain
 
 _GROUND: Final = "#e7ecdd"
@@ -47,6 +48,8 @@ def draw_map(world: World, ax: Axes, *, marks: bool = True) -> None:
         _draw_room(world.place, ax)
     elif isinstance(world.place, Terrain):
         _draw_terrain(world.place, ax)
+    elif isinstance(world.place, ScannedPlace):
+        _draw_scan(world.place, ax)
     if marks:
         _mark_task(world, ax)
 
@@ -89,6 +92,13 @@ def _draw_terrain(terrain: Terrain, ax: Axes) -> None:
     ax.add_collection(
         PatchCollection(crowns, facecolor="#7ba05b", alpha=0.7, linewidth=0, zorder=1.7)
     )
+
+
+def _draw_scan(scan: ScannedPlace, ax: Axes) -> None:
+    ax.set_facecolor("#c9c4ba")
+    _fill(ax, scan.floor.footprint, "#f6f3ec", edge="#7d6f60", order=0.5)
+    for wall in scan.walls:
+        _fill(ax, wall.footprint, "#7d6f60", order=1.5)
 
 
 def _draw_room(room: Room, ax: Axes) -> None:

@@ -72,6 +72,7 @@ class Scale:
     # Clearance of routes from solid things; greater than the robot's radius.
     clearance_m: float = 0.7
     room_m: float = 1.3  # Preferred clearance on lanes; tighter lanes cost more.
+    lane_end_m: float = 4.0  # Spacing of lane ends along edges and on open floor.
     leg_room_m: float = 1.8  # Preferred clearance off the lanes, where no lane centres the driver.
     # Distance from the end of a leg below which `leg_room_m` does not apply.
     leg_end_m: float = 2.5

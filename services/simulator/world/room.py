@@ -8,6 +8,7 @@ import itertools
 import math
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from typing import Annotated, ClassVar, Final, Literal
 
 import numpy as np
@@ -15,7 +16,6 @@ import shapely
 from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
-from scipy.spatial import cKDTree
 from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
@@ -30,6 +30,7 @@ from services.simulator.world.furniture import (
     Metres,
     Size,
 )
+from services.simulator.world.lanes import floor_lanes
 from services.simulator.world.place import (
     STRICT,
     Bounds,
@@ -44,10 +45,11 @@ from services.simulator.world.route import obstacles_of, plan_route
 
 FittingKind = Literal["door", "poster", "whiteboard", "window"]
 Wall = Literal["south", "east", "north", "west"]
-_SCALE: Final = Scale(
+SCALE: Final = Scale(
     spacing_m=0.25,
     clearance_m=0.26,
     room_m=0.55,
+    lane_end_m=1.5,
     leg_room_m=0.55,
     leg_end_m=0.5,
     longest_leg_m=1.5,
@@ -60,11 +62,6 @@ _SCALE: Final = Scale(
 )
 # Radius of the space that a standing victim takes.
 _VICTIM_RADIUS_M: Final = 0.16
-# Margin of lanes above the required clearance, for rounding to centimetres.
-_MARGIN_M: Final = 0.02
-# Spacing of lane ends along edges and on open floor, and maximum length of a lane.
-_APART_M: Final = 1.5
-_LONGEST_LANE_M: Final = 4.5
 _TOLERANCE_M: Final = 1e-6
 
 
@@ -107,7 +104,7 @@ class Room:
 
     #: Robot and scale of the paper's laboratory; the paper's TurtleBot often shook.
     robot: ClassVar[RobotModel] = TURTLEBOT
-    scale: ClassVar[Scale] = _SCALE
+    scale: ClassVar[Scale] = SCALE
     shake: ClassVar[float] = 1.0
 
     @property
@@ -123,34 +120,11 @@ class Room:
 
     @cached_property
     def lanes(self) -> tuple[LineString, ...]:
-        """Visibility graph of the free floor (Lozano-Perez and Wesley 1979), without long lanes.
+        """Lanes of the free floor.
 
-        Nodes are corners of the floor at `Scale.clearance_m` and at `Scale.room_m` from all
-        obstacles, points along the edges, and a coarse grid on open floor. No lane leads under
-        tables, where the overhead camera cannot see the robot.
+        No lane leads under tables, where the overhead camera cannot see the robot.
         """
-        nodes = self._nodes()
-        pairs = cKDTree(nodes).query_pairs(_LONGEST_LANE_M, output_type="ndarray")
-        lines = np.asarray(shapely.linestrings(nodes[pairs]))
-        allowed = self._floor_off_things(self.scale.clearance_m)
-        shapely.prepare(allowed)
-        return tuple(lines[shapely.contains_properly(allowed, lines)])
-
-    def _nodes(self) -> NDArray[np.float64]:
-        """Return the lane ends (n, 2), metres, rounded to centimetres."""
-        free, roomy = (
-            self._floor_off_things(distance_m + _MARGIN_M)
-            for distance_m in (self.scale.clearance_m, self.scale.room_m)
-        )
-        edges = shapely.get_coordinates(shapely.segmentize(free, _APART_M))
-        grid = np.meshgrid(
-            np.arange(0.0, self.east_west_m, _APART_M), np.arange(0.0, self.north_south_m, _APART_M)
-        )
-        open_floor = np.stack(grid, axis=-1).reshape(-1, 2)
-        open_floor = open_floor[shapely.intersects_xy(roomy, open_floor)]
-        return np.unique(
-            np.round(np.concatenate([edges, shapely.get_coordinates(roomy), open_floor]), 2), axis=0
-        )
+        return floor_lanes(self._floor_off_things, self.bounds, self.scale)
 
     def _floor_off_things(self, distance_m: float) -> BaseGeometry:
         """Return the floor at least `distance_m` from furniture and walls."""
@@ -229,10 +203,10 @@ class RoomFile(Room):
         ):
             raise ValueError(f"overhead: at ({above.x_m:g}, {above.y_m:g}) m outside the room")
 
-    def world(self, name: str) -> World:
-        """Build the world; raises WorldError for missing space, no route, or a visible victim."""
-        world = World(replace(self, name=name), self.start.pose, self.victim.pose)
-        self._check_room_for("start", world.start, _SCALE.start_room_m)
+    def world(self, path: Path) -> World:
+        """Build the world of a file; raises WorldError for missing space, no route, or a visible victim."""
+        world = World(replace(self, name=path.stem), self.start.pose, self.victim.pose)
+        self._check_room_for("start", world.start, SCALE.start_room_m)
         self._check_room_for("victim", world.victim, _VICTIM_RADIUS_M)
         plan_route(world, (world.start.x, world.start.y))
         seen = sights(world)[obstacles_of(world.place).in_sight(sights(world))]

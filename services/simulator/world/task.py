@@ -3,24 +3,23 @@
 import itertools
 import math
 from collections.abc import Iterator
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
 from schemas.episode import Purpose
-from services.simulator.world.place import Pose, World, WorldError
+from services.simulator.world.place import Place, Pose, Scale, World, WorldError
 from services.simulator.world.route import (
-    LaneGraph,
     RoutesTo,
     beside,
     lane_graph,
     obstacles_of,
     plan_route,
 )
-from services.simulator.world.terrain import Terrain
 
+#: Distances by rule outdoors; they shrink with the clearance of the place.
 _FROM_WALL_M: Final = 1.2
 _VICTIM_ROOM_M: Final = 0.9
 _START_ROOM_M: Final = 1.8
@@ -32,8 +31,8 @@ _ROUTES_M: Final = (
     (20.0, 400.0, 35.0),
     (10.0, 1000.0, 20.0),
 )
-# The victim must stay hidden from all starts, which scatter by a metre.
-_JITTER_M: Final = 1.1
+# The victim must stay hidden from all starts, which scatter by `Scale.start_m`.
+_JITTER: Final = 1.1
 _MOST_CANDIDATES: Final = 400
 _MOST_STARTS_TRIED: Final = 400
 _JITTER_RAD: Final = math.radians(15)
@@ -41,14 +40,27 @@ _ASIDE_RAD: Final = math.radians(40)
 _TRIES: Final = 1000
 
 
+class RulePlace(Place, Protocol):
+    """A place in which the rule can choose a task."""
+
+    def walls_from(self, middle: shapely.Point) -> Iterator[NDArray[np.float64]]:
+        """Yield lines (n, 2) along walls, with the solid on their left, nearest first."""
+
+
 def choose_roles(
-    terrain: Terrain, start: Pose | None, victim: Pose | None, seed: int = 0
+    place: RulePlace,
+    start: Pose | None,
+    victim: Pose | None,
+    seed: int = 0,
+    *,
+    hidden: bool = True,
 ) -> tuple[Pose, Pose]:
     """Choose a start and a victim, keeping the given poses.
 
-    The victim stands beside a wall: candidates begin at the building nearest to the middle of the
-    map (or to a seeded point). The victim must be reachable by road and hidden from a start 60 to
-    150 m away along roads; otherwise shorter and longer routes are tried.
+    The victim stands beside a wall: candidates begin at the wall nearest to the middle of the map
+    (or to a seeded point). The victim must be reachable and hidden from a start 60 to 150 m away
+    (less indoors); otherwise shorter and longer routes are tried. Without `hidden` the start can
+    have a view of the victim.
 
     Raises
     ------
@@ -57,20 +69,18 @@ def choose_roles(
     """
     if start is not None and victim is not None:
         return start, victim
-    graph = lane_graph(terrain)
-    low, high = np.reshape(terrain.bounds, (2, 2))
+    rule = _Rule(place, start, hidden=hidden)
+    low, high = np.reshape(place.bounds, (2, 2))
     middle = shapely.Point(
         low
         + (high - low) * (0.5 if seed == 0 else np.random.default_rng(seed).uniform(0.1, 0.9, 2))
     )
-    candidates = [victim] if victim is not None else _places_beside_walls(terrain, middle)
+    candidates = [victim] if victim is not None else rule.beside_walls(middle)
     second_best: dict[int, tuple[Pose, Pose]] = {}
-    for place in itertools.islice(candidates, _MOST_CANDIDATES):
-        rank, found = _start_for(
-            terrain, graph, place, start, min(second_best, default=len(_ROUTES_M))
-        )
+    for spot in itertools.islice(candidates, _MOST_CANDIDATES):
+        rank, found = rule.start_for(spot, min(second_best, default=len(_ROUTES_M)))
         if found is not None:
-            second_best[rank] = found, place
+            second_best[rank] = found, spot
             if rank == 0:
                 break
     if not second_best:
@@ -83,57 +93,71 @@ def choose_roles(
     return second_best[min(second_best)]
 
 
-def _places_beside_walls(terrain: Terrain, middle: shapely.Point) -> Iterator[Pose]:
-    obstacles = obstacles_of(terrain)
-    for building in sorted(
-        terrain.buildings, key=lambda building: building.footprint.distance(middle)
-    ):
-        ring = shapely.get_coordinates(shapely.orient_polygons(building.footprint).exterior)
-        along = np.diff(ring, axis=0)
-        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
-        outwards = np.column_stack([along[:, 1], -along[:, 0]])
-        places = (ring[:-1] + ring[1:]) / 2 + _FROM_WALL_M * outwards
-        free = obstacles.are_free(places, _VICTIM_ROOM_M)
-        for (x, y), (east, north) in zip(places[free].tolist(), along[free].tolist(), strict=True):
-            yield Pose(x, y, math.atan2(north, east))
+class _Rule:
+    """Chooses starts for victims in a place."""
 
+    def __init__(self, place: RulePlace, start: Pose | None, *, hidden: bool) -> None:
+        self._place = place
+        self._start = start
+        self._hidden = hidden
+        self._graph = lane_graph(place)
+        self._obstacles = obstacles_of(place)
+        # Distances in this place, relative to outdoors.
+        self._size = place.scale.clearance_m / Scale.clearance_m
 
-def _start_for(
-    terrain: Terrain, graph: LaneGraph, victim: Pose, start: Pose | None, better_than: int
-) -> tuple[int, Pose | None]:
-    """Return the rank of the best route length, and its start with a hidden, reachable victim."""
-    goal = np.array([victim.x, victim.y])
-    # Most places beside walls are unreachable by road; this quick check comes first.
-    if len(graph.links(goal)[0]) == 0:
-        return 0, None
-    routes = RoutesTo(graph, goal)
-    if start is not None:
-        here = np.array([[start.x, start.y]])
-        fits = routes.path_from(here[0]) is not None and _are_hidden(terrain, here, goal)[0]
-        return 0, start if fits else None
-    for rank, (shortest, longest, preferred) in enumerate(_ROUTES_M[:better_than]):
-        fitting = np.flatnonzero((routes.cost >= shortest) & (routes.cost <= longest))
-        best_first = fitting[np.argsort(np.abs(routes.cost[fitting] - preferred), kind="stable")]
-        points = graph.points[best_first[:_MOST_STARTS_TRIED]]
-        for here in points[_are_hidden(terrain, points, goal)]:
-            ahead = routes.path_from(here)
-            if ahead is not None and obstacles_of(terrain).is_free(
-                float(here[0]), float(here[1]), _START_ROOM_M
+    def beside_walls(self, middle: shapely.Point) -> Iterator[Pose]:
+        """Yield free poses beside walls, nearest to a point first."""
+        for line in self._place.walls_from(middle):
+            along = np.diff(line, axis=0)
+            along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+            outwards = np.column_stack([along[:, 1], -along[:, 0]])
+            places = (line[:-1] + line[1:]) / 2 + self._size * _FROM_WALL_M * outwards
+            free = self._obstacles.are_free(places, self._size * _VICTIM_ROOM_M)
+            for (x, y), (east, north) in zip(
+                places[free].tolist(), along[free].tolist(), strict=True
             ):
-                east, north = ahead[1] - ahead[0]
-                return rank, Pose(float(here[0]), float(here[1]), math.atan2(north, east))
-    return 0, None
+                yield Pose(x, y, math.atan2(north, east))
 
+    def start_for(self, victim: Pose, better_than: int) -> tuple[int, Pose | None]:
+        """Return the rank of the best route length, and its start with a reachable victim."""
+        goal = np.array([victim.x, victim.y])
+        # Most places beside walls are unreachable by road; this quick check comes first.
+        if len(self._graph.links(goal)[0]) == 0:
+            return 0, None
+        routes = RoutesTo(self._graph, goal)
+        start = self._start
+        if start is not None:
+            here = np.array([[start.x, start.y]])
+            fits = routes.path_from(here[0]) is not None and self._are_hidden(here, goal)[0]
+            return 0, start if fits else None
+        for rank, lengths_m in enumerate(_ROUTES_M[:better_than]):
+            shortest, longest, preferred = (self._size * length_m for length_m in lengths_m)
+            fitting = np.flatnonzero((routes.cost >= shortest) & (routes.cost <= longest))
+            best_first = fitting[
+                np.argsort(np.abs(routes.cost[fitting] - preferred), kind="stable")
+            ]
+            points = self._graph.points[best_first[:_MOST_STARTS_TRIED]]
+            for here in points[self._are_hidden(points, goal)]:
+                ahead = routes.path_from(here)
+                if ahead is not None and self._obstacles.is_free(
+                    float(here[0]), float(here[1]), self._size * _START_ROOM_M
+                ):
+                    east, north = ahead[1] - ahead[0]
+                    return rank, Pose(float(here[0]), float(here[1]), math.atan2(north, east))
+        return 0, None
 
-def _are_hidden(
-    terrain: Terrain, starts: NDArray[np.float64], victim: NDArray[np.float64]
-) -> NDArray[np.bool_]:
-    """Return from which starts (n, 2), and their surroundings, a victim is hidden, as (n,)."""
-    around = _JITTER_M * np.array([[0, 0], [1, 1], [1, -1], [-1, 1], [-1, -1]])
-    corners = (starts[:, None] + around).reshape(-1, 2)
-    sights = np.stack([corners, np.broadcast_to(victim, corners.shape)], axis=1)
-    seen = obstacles_of(terrain).in_sight(sights).reshape(-1, len(around))
-    return np.asarray(~seen.any(axis=1))
+    def _are_hidden(
+        self, starts: NDArray[np.float64], victim: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        """Return from which starts (n, 2), and their surroundings, a victim is hidden, as (n,)."""
+        if not self._hidden:
+            return np.ones(len(starts), dtype=np.bool_)
+        scatter_m = _JITTER * self._place.scale.start_m
+        around = scatter_m * np.array([[0, 0], [1, 1], [1, -1], [-1, 1], [-1, -1]])
+        corners = (starts[:, None] + around).reshape(-1, 2)
+        sights = np.stack([corners, np.broadcast_to(victim, corners.shape)], axis=1)
+        seen = self._obstacles.in_sight(sights).reshape(-1, len(around))
+        return np.asarray(~seen.any(axis=1))
 
 
 def moved_victim(world: World, rng: np.random.Generator) -> Pose:

@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import asdict, fields, replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, TypeVar
 
 import numpy as np
@@ -257,6 +258,12 @@ class Terrain:
         edge = Solid(shapely.box(*self.bounds).exterior, 0.0, _BANK_M, opaque=False)
         return (*walls, *posts, *trunks, *water, *barriers, edge)
 
+    def walls_from(self, middle: shapely.Point) -> Iterator[NDArray[np.float64]]:
+        """Yield the outlines (n, 2) of buildings, anticlockwise, nearest first."""
+        for building in sorted(self.buildings, key=lambda one: one.footprint.distance(middle)):
+            whole = shapely.orient_polygons(building.footprint)
+            yield shapely.get_coordinates(whole.exterior)
+
     @cached_property
     def lanes(self) -> tuple[LineString, ...]:
         """Centre lines of the drivable roads."""
@@ -298,9 +305,9 @@ class TerrainFile(Terrain):
                 f"roads: too long ({length_m / 1000:.0f} km > maximum {MOST_WAY_M / 1000:.0f} km)"
             )
 
-    def world(self, name: str) -> World:
-        """Build the world."""
-        return World(replace(self, name=name), self.start.pose, self.victim.pose)
+    def world(self, path: Path) -> World:
+        """Build the world of a file."""
+        return World(replace(self, name=path.stem), self.start.pose, self.victim.pose)
 
 
 def terrain_text(world: World) -> str:

@@ -10,9 +10,10 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from services.simulator.world.furniture import Furniture, FurnitureKind
-from services.simulator.world.place import World
+from services.simulator.world.place import Place, World, WorldError
 from services.simulator.world.room import Room
 from services.simulator.world.route import plan_route
+from services.simulator.world.scan import ScannedPlace
 from services.simulator.world.terrain import Terrain, Tree
 
 _TREE_MOVES_M: Final = 3.0
@@ -35,23 +36,20 @@ def vary(world: World, *, facade_seed: int = 0, clutter_seed: int = 0) -> World:
     clutter_seed : int
         Seed of positions: trees move by up to 3 m, boxes, plants and tables by up to 0.3 m, at
         least `Scale.room_m` off the route. 0 keeps them.
+
+    Raises
+    ------
+    WorldError
+        The place is a scan, which has neither façades nor movable objects.
     """
     place = world.place
-    if facade_seed and isinstance(place, Terrain):
-        facades = {
-            one: replace(one, colour=None, variant=_mixed(one, facade_seed))
-            for one in {building.facade for building in place.buildings}
-        }
-        place = replace(
-            place,
-            buildings=tuple(replace(one, facade=facades[one.facade]) for one in place.buildings),
+    if (facade_seed or clutter_seed) and isinstance(place, ScannedPlace):
+        raise WorldError(
+            f"{world.name}: a scan's surfaces and furniture cannot change; choose a --variation of "
+            "light, haze or exposure"
         )
-    if facade_seed and isinstance(place, Room):
-        fittings = (
-            replace(one, colour=None, variant=_mixed((one.kind, one.variant), facade_seed))
-            for one in place.fittings
-        )
-        place = replace(place, fittings=tuple(fittings))
+    if facade_seed:
+        place = _repainted(place, facade_seed)
     if clutter_seed:
         kept_free = _kept_free(world)
         rng = np.random.default_rng(clutter_seed)
@@ -60,6 +58,23 @@ def vary(world: World, *, facade_seed: int = 0, clutter_seed: int = 0) -> World:
         elif isinstance(place, Room):
             place = replace(place, furniture=_pushed_about(place, kept_free, rng))
     return replace(world, place=place)
+
+
+def _repainted(place: Place, seed: int) -> Place:
+    if isinstance(place, Terrain):
+        facades = {
+            one: replace(one, colour=None, variant=_mixed(one, seed))
+            for one in {building.facade for building in place.buildings}
+        }
+        buildings = (replace(one, facade=facades[one.facade]) for one in place.buildings)
+        return replace(place, buildings=tuple(buildings))
+    if isinstance(place, Room):
+        fittings = (
+            replace(one, colour=None, variant=_mixed((one.kind, one.variant), seed))
+            for one in place.fittings
+        )
+        return replace(place, fittings=tuple(fittings))
+    return place
 
 
 def _mixed(facade: object, seed: int) -> int:

@@ -13,6 +13,7 @@ from services.simulator.world import World, load_world
 from services.simulator.world.route import obstacles_of, plan_route, route_length_m
 from tests.services.cli.conftest import Smal
 from tests.services.simulator.map_text import LATITUDE, LONGITUDE, block_of_houses
+from tests.services.simulator.scans import laboratory
 
 Imported = Callable[..., World]
 
@@ -83,3 +84,36 @@ def test_the_pictures_are_there_with_names_that_say_where(tmp_path: Path, smal: 
     )
     drawn = cv2.imread(str(tmp_path / "map.png"))
     assert len(np.unique(drawn.reshape(-1, 3), axis=0)) > 100
+
+
+def test_scan_becomes_a_world_of_two_files(tmp_path: Path, smal: Smal) -> None:
+    laboratory().export(tmp_path / "lab.glb")
+    chosen = ("--from", "1,1", "--to", "6.9,5", "--robot", "turtlebot")
+    status, said, _ = smal(
+        "world", "import", tmp_path / "lab.glb", "--out", tmp_path / "w.json", *chosen
+    )
+    assert status == 0
+    rows = {line[:20].strip(): line[20:].strip() for line in said.splitlines()}
+    assert rows["unit"].startswith("1 m")
+    assert rows["holes in the floor"] == "0.0%"
+    world = load_world(tmp_path / "w.json")
+    assert (world.start.x, world.start.y, world.victim.x, world.victim.y) == (1, 1, 6.9, 5)
+    route = plan_route(world, (1, 1))
+    assert world.start.heading == pytest.approx(math.atan2(*(route[1] - route[0])[::-1]), abs=1e-3)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["lab.glb", "w.json", "w.npz"]
+
+
+def test_options_of_scans_are_refused_for_maps(tmp_path: Path, smal: Smal) -> None:
+    source = block_of_houses().write(tmp_path / "map.osm")
+    status, _, said = smal("world", "import", source, "--out", tmp_path / "map.json", "--scale", 2)
+    assert (status, said) == (2, "smal: --scale: unsupported for a map; leave it out\n")
+    assert not (tmp_path / "map.json").exists()
+
+
+def test_broken_scan_leaves_no_files(tmp_path: Path, smal: Smal) -> None:
+    (tmp_path / "a.glb").write_bytes(b"glTF nonsense")
+    status, _, said = smal("world", "import", tmp_path / "a.glb", "--out", tmp_path / "w.json")
+    assert status == 1
+    assert said.startswith(f"smal: {tmp_path / 'a.glb'}: cannot be read as GLB (")
+    assert said.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["a.glb"]

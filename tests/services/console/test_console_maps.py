@@ -59,7 +59,7 @@ def test_a_map_that_is_too_large_ends_early(
     monkeypatch.setattr("services.console.web._LARGEST_MAP", 1_000_000)
     assert seated.post("/map?name=town", bytes(1_000_001)) == (
         413,
-        "map too large (maximum 1 MB); cut it smaller\n",
+        "file too large (maximum 1 MB); cut it smaller\n",
     )
     assert (nobody.maps, kept()) == ([], 0)
 

@@ -1,7 +1,7 @@
 """A runner of the robot on the line, a driver that answers its frames, and time that a test lets pass."""
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, cast
+from typing import Any
 
 from schemas.base import Atom, Message, Source
 from schemas.command import Command
@@ -9,12 +9,12 @@ from schemas.episode import Episode
 from schemas.rpc import ResetRequest
 from services.robot.clock import Clocks
 from services.robot.gate import CommandGate
+from services.robot.lockstep import Lockstep
 from services.robot.loop import PERIOD_S
 from services.robot.pace import Pace, RealTime
 from services.robot.runner import EpisodeRunner
 from services.robot.task import Task
 from services.simulator.body import SimulatedBody
-from services.simulator.lockstep import Lockstep
 from services.simulator.sensors.camera import FindVictim, SimulatedView
 from services.simulator.simulation import Simulation
 from tests.services.robot.line import Clock, LineBody, LineView, Reach
@@ -46,9 +46,8 @@ def runner_of(
 ) -> Runner:
     """Return a runner that knows lockstep, and real time by the body's clock."""
     gate = gate or armed()
-    simulated = cast("SimulatedBody", body)
     paces: dict[str, Callable[[], Pace[LineView]]] = {
-        "lockstep": lambda: cast("Pace[LineView]", Lockstep(simulated, body.clock)),
+        "lockstep": lambda: Lockstep(body, body.clock),
         "realtime": lambda: SteppedRealTime(gate, body, body.clock, lambda: None, runner.frame_s),
     }
     runner: Runner = EpisodeRunner(

@@ -10,13 +10,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.base import STANDING, Atom, Message, Velocity
+from schemas.base import STANDING, TICK_S, Atom, Message, Velocity
 from schemas.camera import DepthImage
 from schemas.motion import TruePose
 from schemas.rpc import ResetRequest
 from schemas.topics import DEPTH, Topic
 from services.kit.jpeg import encode_jpeg
-from services.robot.body import Beginning, ImuReading, Kinematics, OdometryReading
+from services.robot.body import CONDITIONS, Beginning, ImuReading, Kinematics, OdometryReading
 from smal.camera import Camera
 from smal.obstacles.clearance import Mount
 
@@ -66,6 +66,8 @@ class LineBody:
     camera: Camera | None = Camera(0.6)
     mount: Mount | None = None
     watchdog_s = 0.2
+    frame_s = TICK_S
+    conditions = CONDITIONS
     braking_s = 0.0
 
     def __init__(

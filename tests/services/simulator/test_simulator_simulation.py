@@ -15,7 +15,7 @@ from services.simulator.base import KinematicBase
 from services.simulator.lockstep import LockstepEpisode
 from services.simulator.robots import DriveTrain
 from services.simulator.simulation import Simulation
-from services.simulator.variation import VARIATIONS
+from services.simulator.variation import DAY, VARIATIONS
 from services.simulator.world import load_world
 from services.simulator.world.place import World
 from services.simulator.world.route import Obstacles, obstacles_of, plan_route
@@ -108,6 +108,19 @@ def test_another_exposure_is_seen() -> None:
         for variation in (VARIATIONS["day"], VARIATIONS["dark"])
     )
     assert dark < 0.7 * fair
+
+
+def test_noise_and_defocus_are_seen() -> None:
+    step = np.zeros((24, 32, 3), dtype=np.uint8)
+    step[:, 16:] = 200
+    camera = StubCamera()
+    camera.render = lambda _pose, _tilt: step  # type: ignore[method-assign]
+    fair, noisy, blurred = (
+        Simulation(YARD, camera, variation=replace(DAY, **fields)).look().image.astype(float)
+        for fields in ({}, {"noise": 20.0}, {"defocus": 100.0})
+    )
+    assert fair[:, 24:].std() < 5 < noisy[:, 24:].std()
+    assert np.abs(np.diff(blurred, axis=1)).max() < 0.5 * np.abs(np.diff(fair, axis=1)).max()
 
 
 CAMPUS = load_world("campus").place

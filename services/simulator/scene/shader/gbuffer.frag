@@ -36,7 +36,7 @@ void main() {
   float label = materialBuffer.roughness;
   vec3 color;
   if ((materialBuffer.textureMask & GLOWS) != 0) {
-    color = texture(emissionTexture, inUV).rgb;
+    color = texture(emissionTexture, inUV).rgb * materialBuffer.emission.rgb;
   } else {
     color = texture(colorTexture, inUV).rgb * inLight;
   }

@@ -10,7 +10,7 @@ from schemas.motion import Imu, Odometry, TruePose
 from schemas.rpc import ArmRequest
 from schemas.topics import DEPTH, Topic
 from services.kit.cameras import camera_of
-from services.simulator.lockstep import GIVE_UP_S, RESEND_S
+from services.robot.lockstep import GIVE_UP_S, RESEND_S
 from tests.services.robot.driving import answer, begin, command, events
 from tests.services.robot.line import Clock, LineBody
 

@@ -1,0 +1,268 @@
+"""Find the floor of a scan that a robot can drive on, and lay it level.
+
+Samples of the surfaces fill columns of small cells. A robot can stand on a cell that faces up and
+has room for the robot above it, and drives to neighbouring cells that are at most a climbable step
+higher or lower. Each connected group of such cells is a floor: a storey, or a table top.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from shapely import MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
+
+from services.simulator.robots import RobotModel
+from services.simulator.scanning.mesh_file import ScanPart
+from services.simulator.world.place import WorldError, polygons
+
+# Width of a cell in radii of the robot, and number of cells in its climbable step.
+_CELL: Final = 0.25
+_CLIMB: Final = 3  # Cells.
+# Mean number of samples in a cell that a surface crosses, and the number that makes it solid:
+# specks are smaller than a cell.
+_SAMPLES: Final = 8
+_SOLID: Final = 2
+_MOST_SAMPLES: Final = 60_000_000
+# Cosine of the steepest floor: scanned floors are bumpy.
+_FACES_UP: Final = 0.6
+# Gaps in the floor up to this many cells wide are closed.
+_GAP: Final = 4
+# Largest distance from the median of the surfaces, in cells; farther specks are outliers.
+_FARTHEST: Final = 2500
+_MARGIN: Final = 2 * _GAP  # Free cells around a scan.
+# Cells (rows, columns) to which the robot drives: one gap of a cell is bridged.
+_NEIGHBOURS: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2))
+#: Least area of a floor.
+LEAST_M2: Final = 2.0
+# The lowest floor is chosen unless another one is larger by this factor: a ceiling is also level.
+_LARGER: Final = 2.0
+# Floor heights are smoothed over this distance before the scan is laid level.
+_SMOOTH_M: Final = 0.5
+
+
+_NEVER: Final = np.iinfo(np.int64).max
+
+Cells = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class FoundFloor:
+    """A floor, metres of the scan laid level; x and y count from its south-west corner."""
+
+    parts: tuple[ScanPart, ...]
+    area: Polygon  # Area that the robot's body can cover.
+    walls: MultiPolygon  # Solid cells at the height of the robot's camera.
+    height_m: float  # Mean height in the scan.
+    storeys: tuple[tuple[float, float], ...]  # Height and area of each floor, lowest first.
+    holes: float  # Share of the area without a surface.
+    open_edge: float  # Share of the edge without a wall or another obstacle.
+    roofed: float  # Share of the area with a surface above the robot.
+
+
+def find_floor(
+    parts: Sequence[ScanPart], robot: RobotModel, height_m: float | None = None
+) -> FoundFloor:
+    """Find the largest connected floor for a robot, or the floor nearest to a height.
+
+    Raises
+    ------
+    WorldError
+        No floor is large enough.
+    """
+    columns = _Columns(parts, robot)
+    storeys = columns.storeys()
+    if not storeys:
+        raise WorldError(
+            f"no floor of {LEAST_M2:g} m2 or more with room for the robot (radius {robot.radius_m:g} m, "
+            f"height {robot.top_m:g} m); check the unit and the up axis, or give --scale or --up"
+        )
+    if height_m is not None:
+        chosen = min(storeys, key=lambda one: abs(one.height_m - height_m))
+    else:
+        largest = max(one.area_m2 for one in storeys)
+        chosen = next(one for one in storeys if _LARGER * one.area_m2 >= largest)
+    return columns.floor(chosen, tuple((one.height_m, one.area_m2) for one in storeys))
+
+
+@dataclass(frozen=True, eq=False)
+class _Storey:
+    """Connected floor cells; `codes` are sorted."""
+
+    codes: Cells
+    height_m: float
+    area_m2: float
+
+
+class _Columns:
+    """Occupied cells of a scan; the code of a cell counts through its column first."""
+
+    def __init__(self, parts: Sequence[ScanPart], robot: RobotModel) -> None:
+        self._parts = parts
+        self._robot = robot
+        self._cell_m = _CELL * robot.radius_m
+        self._cell_height_m = robot.climb_m / _CLIMB
+        self._top = math.ceil(robot.top_m / self._cell_height_m)
+        size_m = np.array([self._cell_m, self._cell_m, self._cell_height_m])
+        points, faces_up = self._samples()
+        off = np.abs(points[:, :2] - np.median(points[:, :2], axis=0)).max(axis=1)
+        near = off < _FARTHEST * self._cell_m
+        points = points[near]
+        faces_up = faces_up[near]
+        self._low = points.min(axis=0) - _MARGIN * size_m
+        cells = ((points - self._low) / size_m).astype(np.int64)
+        # Room above the highest cell, so that a search for the robot's height stays in its column.
+        above = self._top + _CLIMB + 2
+        rows, columns, heights = (cells.max(axis=0) + np.array([_MARGIN, _MARGIN, above])).tolist()
+        self._plan = (rows, columns)
+        self._heights = heights
+        codes = self._codes(cells[:, 0], cells[:, 1], cells[:, 2])
+        occupied, counts = np.unique(codes, return_counts=True)
+        self._solid = occupied[counts >= _SOLID]
+        level = np.unique(codes[faces_up])
+        self._floor = level[~self._hit(level + _CLIMB, self._top)]
+
+    def _samples(self) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Return random points (n, 3) of the surfaces, and whether they face up."""
+        rng = np.random.default_rng(0)
+        corners = [part.vertices[part.triangles] for part in self._parts]
+        normals = [np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]) / 2 for c in corners]
+        areas = [np.linalg.norm(normal, axis=1) for normal in normals]
+        density = _SAMPLES / (self._cell_m * min(self._cell_m, self._cell_height_m))
+        density = min(density, _MOST_SAMPLES / sum(float(area.sum()) for area in areas))
+        points = []
+        ups = []
+        for part, corner, normal, area in zip(self._parts, corners, normals, areas, strict=True):
+            which = np.repeat(np.arange(len(area)), rng.poisson(area * density))
+            u, v = rng.random((2, len(which), 1))
+            outside = u + v > 1
+            u = np.where(outside, 1 - u, u)
+            v = np.where(outside, 1 - v, v)
+            a, b, c = np.moveaxis(corner[which], 1, 0)
+            points.append(a + (b - a) * u + (c - a) * v)
+            up = normal[:, 2] / np.maximum(area, 1e-12)
+            ups.append((np.abs(up) if part.both else up)[which] > _FACES_UP)
+        return np.concatenate(points), np.concatenate(ups)
+
+    def _codes(self, i: Cells, j: Cells, k: Cells) -> Cells:
+        return np.asarray((i * self._plan[1] + j) * self._heights + k)
+
+    def _hit(self, codes: Cells, above: int | Cells) -> NDArray[np.bool_]:
+        """Return whether a solid cell lies 1 to `above` cells above each cell."""
+        return np.asarray(_next(self._solid, codes + 1) <= codes + above)
+
+    def storeys(self) -> list[_Storey]:
+        """Return the connected floors of at least `LEAST_M2`, the lowest first."""
+        count = len(self._floor)
+        pairs = []
+        for i, j in _NEIGHBOURS:
+            beside = self._floor + (i * self._plan[1] + j) * self._heights
+            at = np.searchsorted(self._floor, beside - _CLIMB if (i, j) != (0, 0) else beside + 1)
+            near = np.append(self._floor, _NEVER)[at] <= beside + _CLIMB
+            pairs.append(np.stack([np.flatnonzero(near), at[near]]))
+        rows, columns = np.concatenate(pairs, axis=1)
+        graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), (count, count))
+        _, group = connected_components(graph, directed=False)
+        ends = np.cumsum(np.bincount(group))[:-1]
+        groups = np.split(self._floor[np.argsort(group, kind="stable")], ends)
+        found = [self._storey(codes) for codes in groups if len(codes)]
+        large = [one for one in found if one.area_m2 >= LEAST_M2]
+        return sorted(large, key=lambda one: one.height_m)
+
+    def _storey(self, codes: Cells) -> _Storey:
+        area_m2 = len(np.unique(codes // self._heights)) * self._cell_m**2
+        return _Storey(codes, float(np.median(self._height_m(codes % self._heights))), area_m2)
+
+    def _height_m(self, k: Cells) -> NDArray[np.float64]:
+        return np.asarray(self._low[2] + (k + 0.5) * self._cell_height_m)
+
+    def floor(self, storey: _Storey, storeys: tuple[tuple[float, float], ...]) -> FoundFloor:
+        """Return the largest part of a storey that the robot's body fits in."""
+        known, k = self._plan_of(storey)
+        i, j = np.indices(self._plan)
+        base = self._codes(i, j, k)
+        blocked = self._hit(base + _CLIMB, self._top)
+        closed = ndimage.binary_closing(
+            known, iterations=_GAP // 2, structure=np.ones((3, 3), dtype=np.bool_)
+        )
+        inside = self._reached((known | closed) & ~blocked)
+        if not inside.any():
+            raise WorldError(
+                f"the floor at {storey.height_m:.2f} m has no room for the robot "
+                f"(radius {self._robot.radius_m:g} m)"
+            )
+        rim = ndimage.binary_dilation(inside, iterations=2) & ~inside
+        fenced = ndimage.binary_dilation(blocked, iterations=3)
+        roofed = self._hit(base + self._top, self._heights - 1 - k - self._top)
+        camera = round(self._robot.camera.height_m / self._cell_height_m)
+        opaque = self._hit(base + camera - _CLIMB, 2 * _CLIMB) & ~inside
+        area = max(polygons(self._outline(inside)), key=lambda one: one.area)
+        corner = np.array(area.bounds[:2])
+        walls = polygons(self._outline(opaque), self._cell_m**2)
+        return FoundFloor(
+            parts=tuple(self._level(self._height_m(k), corner)),
+            area=shapely.transform(area, lambda xy: xy - corner),
+            walls=shapely.transform(MultiPolygon(walls), lambda xy: xy - corner),
+            height_m=storey.height_m,
+            storeys=storeys,
+            holes=_share(~known, inside),
+            open_edge=_share(~fenced, rim),
+            roofed=_share(roofed, inside),
+        )
+
+    def _plan_of(self, storey: _Storey) -> tuple[NDArray[np.bool_], Cells]:
+        """Return which columns have the floor, and its height in every column, continued."""
+        known = np.zeros(self._plan, dtype=np.bool_)
+        k = np.zeros(self._plan, dtype=np.int64)
+        downwards = storey.codes[::-1]  # The lowest cell of a column is set last.
+        known.flat[downwards // self._heights] = True
+        k.flat[downwards // self._heights] = downwards % self._heights
+        nearest = ndimage.distance_transform_edt(
+            ~known, return_distances=False, return_indices=True
+        )
+        return known, k[tuple(nearest)]
+
+    def _reached(self, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return the largest connected area that the robot's body can cover."""
+        radius = self._robot.radius_m / self._cell_m
+        groups, count = ndimage.label(ndimage.distance_transform_edt(free) >= radius)
+        if count == 0:
+            return np.zeros_like(free)
+        centre = groups == np.bincount(groups.ravel())[1:].argmax() + 1
+        return np.asarray(ndimage.distance_transform_edt(~centre) < radius)
+
+    def _outline(self, cells: NDArray[np.bool_]) -> BaseGeometry:
+        """Return the area of cells, with straightened edges."""
+        edges = np.diff(np.pad(cells, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+        row, begin = np.nonzero(edges == 1)
+        _, end = np.nonzero(edges == -1)
+        # Whole numbers, so that strips meet exactly.
+        whole = shapely.union_all(shapely.box(row, begin, row + 1, end)).simplify(1.0)
+        return shapely.transform(whole, lambda xy: self._low[:2] + xy * self._cell_m)
+
+    def _level(self, floor_m: NDArray[np.float64], corner: NDArray[np.float64]) -> list[ScanPart]:
+        """Return the parts with the floor at height 0: verticals and the plan stay."""
+        smooth = ndimage.gaussian_filter(floor_m, _SMOOTH_M / self._cell_m, mode="nearest")
+        found = []
+        for part in self._parts:
+            at = (part.vertices[:, :2] - self._low[:2]) / self._cell_m - 0.5
+            below_m = ndimage.map_coordinates(smooth, at.T, order=1, mode="nearest")
+            moved = part.vertices - np.column_stack([np.tile(corner, (len(at), 1)), below_m])
+            found.append(replace(part, vertices=moved))
+        return found
+
+
+def _next(codes: Cells, least: Cells) -> Cells:
+    """Return the first of the sorted codes that is at least each value, or `_NEVER`."""
+    return np.asarray(np.append(codes, _NEVER)[np.searchsorted(codes, least)])
+
+
+def _share(what: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
+    return float((what & of).sum() / max(of.sum(), 1))

@@ -1,0 +1,346 @@
+"""Read a scan (glTF, OBJ or PLY) into textured triangles, with its unit and its up axis."""
+
+import io
+import json
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from PIL import Image, ImageChops
+from scipy.signal import find_peaks
+from trimesh.visual import ColorVisuals
+from trimesh.visual.material import Material
+
+from schemas.codec import printable
+from services.simulator.scanning.mesh_file import ScanPart
+from services.simulator.world.place import WorldError
+from services.simulator.world.scan import SUFFIXES
+
+#: Metres of the units that files have, in the order in which they are tried.
+UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+# Axes that become x, y and z, for each up axis: rows of a rotation.
+_ROTATIONS: Final = {
+    "x": ((0, 1, 0), (0, 0, 1), (1, 0, 0)), "-x": ((0, 1, 0), (0, 0, -1), (-1, 0, 0)),
+    "y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)), "-y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)), "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+}  # fmt: skip
+# Height of a storey from the floor to the ceiling. Only one unit puts a value in this range.
+_STOREY_M: Final = (2.0, 4.5)
+# glTF files are in metres by their standard, unless a storey is lower or higher than this.
+_METRES_STOREY_M: Final = (1.8, 15.0)
+# Horizontal extent of a place without a ceiling, and its height in other units than metres.
+_EXTENT_M: Final = (2.0, 300.0)
+_HEIGHT_M: Final = 15.0
+# Share of the largest level's area that a floor and a ceiling have at least.
+_LEVEL: Final = 0.25
+_BINS: Final = 256
+_OUTLIERS: Final = 0.002  # Share of the area at either end that the extent leaves out.
+# glTF's up axis holds unless another axis has a level of this many times the area.
+_CLEARLY: Final = 2.0
+#: Memory of the textures with their smaller copies, bytes, and the longest side, pixels.
+MOST_TEXTURE: Final = 1 << 30
+_LONGEST_PX: Final = 8192
+_QUALITY: Final = 95
+_UNSUPPORTED: Final = {
+    "KHR_texture_basisu": "KTX2 textures are unsupported; convert them: "
+    "gltf-transform ktxdecompress IN.glb OUT.glb",
+    "EXT_meshopt_compression": "meshopt compression is unsupported; convert it: "
+    "gltf-transform copy IN.glb OUT.glb",
+}
+_PLAIN_PX: Final = 4
+_GREY: Final = (200, 200, 200)  # Without a material.
+
+
+@dataclass(frozen=True)
+class Scanned:
+    """A scan in metres, z up.
+
+    `untextured` is the share of the area without a picture or colours; `notes` describe decisions
+    and warnings, by their name.
+    """
+
+    parts: tuple[ScanPart, ...]
+    untextured: float
+    notes: tuple[tuple[str, str], ...]
+
+
+class _Paint(NamedTuple):
+    """Picture and texture coordinates of a mesh, and whether they come from the scan."""
+
+    picture: Image.Image
+    uvs: NDArray[np.float32]
+    textured: bool
+
+
+def read_scan(source: Path, scale: float | None = None, up: str | None = None) -> Scanned:
+    """Read a scan; `scale` (metres per unit) and `up` replace the detected values.
+
+    Raises
+    ------
+    WorldError
+        The file is not a usable mesh.
+    """
+    kind = _kind(source)
+    try:
+        parts, untextured, notes = _parts(source, kind)
+    except (OSError, SyntaxError, ValueError) as error:  # As Pillow raises them.
+        raise WorldError(f"its content is damaged ({error})") from None
+    standing, axis = _upright(parts, up, usual="y" if kind in {"glb", "gltf"} else None)
+    sized, unit = _to_metres(standing, scale, metric=kind in {"glb", "gltf"})
+    return Scanned(tuple(sized), untextured, (axis, unit, *notes))
+
+
+def _parts(source: Path, kind: str) -> tuple[list[ScanPart], float, list[tuple[str, str]]]:
+    """Return the parts as in the file, the untextured share of their area, and warnings."""
+    meshes = list(_meshes(source, kind))
+    if not meshes:
+        raise WorldError(
+            "it has no triangles; a scan must be a mesh (a point cloud is unsupported)"
+        )
+    paints = [_paint(mesh) for mesh, _ in meshes]
+    divisor, notes = _shrink([paint.picture for paint in paints])
+    jpegs = _Jpegs(divisor)
+    parts = [
+        ScanPart(*_corners(mesh, paint), jpegs.of(paint.picture), both)
+        for (mesh, both), paint in zip(meshes, paints, strict=True)
+    ]
+    areas = np.array([mesh.area for mesh, _ in meshes])
+    plain = [not paint.textured for paint in paints]
+    return parts, float(areas[plain].sum() / areas.sum()), notes
+
+
+def _kind(source: Path) -> str:
+    """Return the format: by the file name, or of an upload without a name by its first bytes."""
+    if source.suffix.lower() in SUFFIXES:
+        return source.suffix.lower()[1:]
+    with source.open("rb") as file:
+        return "ply" if file.read(4).startswith(b"ply") else "glb"
+
+
+def _meshes(source: Path, kind: str) -> Iterator[tuple[trimesh.Trimesh, bool]]:
+    """Yield the meshes in the coordinates of the file, and whether both sides are visible."""
+    Image.MAX_IMAGE_PIXELS = None  # The child process has a limit of memory.
+    _check_extensions(source, kind)
+    try:
+        with source.open("rb") as file:
+            resolver = trimesh.resolvers.FilePathResolver(str(source.resolve()))
+            scene = trimesh.load_scene(file, file_type=kind, resolver=resolver, process=False)
+    except Exception as error:  # noqa: BLE001 - trimesh raises many types for damaged files
+        reason = printable(str(error).partition("\n")[0] or type(error).__name__, 200)
+        raise WorldError(f"cannot be read as {kind.upper()} ({reason})") from None
+    for node in scene.graph.nodes_geometry:
+        transform, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
+            mesh = mesh.copy()
+            mesh.apply_transform(transform)
+            usable = np.isfinite(mesh.triangles).all(axis=(1, 2)) & (mesh.area_faces > 0)
+            mesh.update_faces(usable)
+            material = getattr(mesh.visual, "material", None)
+            # Only glTF can hide back faces.
+            both = kind not in {"glb", "gltf"} or bool(getattr(material, "doubleSided", True))
+            if len(mesh.faces):
+                yield mesh, both
+
+
+def _check_extensions(source: Path, kind: str) -> None:
+    """Reject glTF extensions that cannot be read, with the remedy."""
+    if kind not in {"glb", "gltf"}:
+        return
+    with source.open("rb") as file:
+        head = file.read(20)
+        length = int.from_bytes(head[12:16], "little") if head[:4] == b"glTF" else None
+        text = file.read(length) if length else head + file.read()
+    used: list[str] = []
+    with suppress(ValueError, AttributeError):  # Damaged text is rejected by trimesh.
+        used = json.loads(text).get("extensionsUsed", [])
+    for name, remedy in _UNSUPPORTED.items():
+        if name in used:
+            raise WorldError(remedy)
+
+
+def _paint(mesh: trimesh.Trimesh) -> _Paint:
+    visual = mesh.visual
+    if isinstance(visual, ColorVisuals) and visual.kind is not None:
+        return _coloured(mesh, np.asarray(visual.vertex_colors)[mesh.faces, :3])
+    material = getattr(visual, "material", None)
+    image = None if material is None else _image(material)
+    uvs = getattr(visual, "uv", None)
+    if image is None or uvs is None:
+        return _plain(mesh, _GREY if material is None else material.main_color[:3])
+    factor = getattr(material, "baseColorFactor", None)
+    if factor is not None and min(factor[:3]) < 255:
+        white = Image.new("RGB", image.size, tuple(int(value) for value in factor[:3]))
+        image = ImageChops.multiply(image, white)
+    # trimesh counts v upwards.
+    downwards = np.nan_to_num(np.asarray(uvs, dtype=np.float32)[mesh.faces]) * (1, -1) + (0, 1)
+    return _Paint(image, downwards.astype(np.float32), textured=True)
+
+
+def _image(material: Material) -> Image.Image | None:
+    names = ("image", "baseColorTexture", "emissiveTexture")
+    found = (getattr(material, name, None) for name in names)
+    image: Image.Image | None = next((one for one in found if one is not None), None)
+    if image is None or image.mode == "RGB":
+        return image
+    return image.convert("RGB")
+
+
+def _plain(mesh: trimesh.Trimesh, colour: Sequence[int]) -> _Paint:
+    picture = Image.new("RGB", (_PLAIN_PX, _PLAIN_PX), tuple(int(value) for value in colour))
+    return _Paint(picture, np.full((len(mesh.faces), 3, 2), 0.5, dtype=np.float32), textured=False)
+
+
+def _coloured(mesh: trimesh.Trimesh, colours: NDArray[np.uint8]) -> _Paint:
+    """Paint the corner colours (n, 3, 3) of each triangle into 2 by 2 pixels.
+
+    Linear filtering between the centres of three pixels blends the colours as a renderer with
+    vertex colours does; the fourth pixel continues the plane.
+    """
+    count = len(mesh.faces)
+    side = math.ceil(math.sqrt(count))
+    row, column = np.divmod(np.arange(count), side)
+    picture = np.zeros((2 * side, 2 * side, 3), dtype=np.uint8)
+    first, right, below = (colours[:, k].astype(np.int16) for k in range(3))
+    picture[2 * row, 2 * column] = first
+    picture[2 * row, 2 * column + 1] = right
+    picture[2 * row + 1, 2 * column] = below
+    picture[2 * row + 1, 2 * column + 1] = np.clip(right + below - first, 0, 255)
+    corner = 2 * np.stack([column, row], axis=1)[:, None]
+    uvs = (corner + np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]])) / (2 * side)
+    return _Paint(Image.fromarray(picture), uvs.astype(np.float32), textured=True)
+
+
+def _corners(
+    mesh: trimesh.Trimesh, paint: _Paint
+) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.uint32]]:
+    """Return vertices, texture coordinates and triangles, with equal corners merged."""
+    index = mesh.faces.reshape(-1)
+    uvs = paint.uvs.reshape(-1, 2)
+    keys = np.column_stack([index.astype(np.float64), uvs])
+    _, once, again = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    return mesh.vertices[index[once]], uvs[once], again.reshape(-1, 3).astype(np.uint32)
+
+
+def _shrink(pictures: Sequence[Image.Image]) -> tuple[int, list[tuple[str, str]]]:
+    """Return the divisor of the pictures' sides that fits the memory, and a warning if above 1."""
+    distinct = {id(picture): picture for picture in pictures}.values()
+    pixels = sum(picture.width * picture.height for picture in distinct)
+    longest = max(max(picture.size) for picture in distinct)
+    divisor = 1
+    while 4 * 4 / 3 * pixels / divisor**2 > MOST_TEXTURE or longest / divisor > _LONGEST_PX:
+        divisor *= 2
+    if divisor == 1:
+        return 1, []
+    need = f"{4 * 4 / 3 * pixels / 2**30:.1f} GiB"
+    return divisor, [("warning", f"textures of {need} reduced to 1/{divisor} of their sides")]
+
+
+class _Jpegs:
+    """Encodes each picture once."""
+
+    def __init__(self, divisor: int) -> None:
+        self._divisor = divisor
+        self._done: dict[int, bytes] = {}
+
+    def of(self, picture: Image.Image) -> bytes:
+        if id(picture) not in self._done:
+            self._done[id(picture)] = self._encoded(picture)
+        return self._done[id(picture)]
+
+    def _encoded(self, picture: Image.Image) -> bytes:
+        width, height = (max(1, side // self._divisor) for side in picture.size)
+        content = io.BytesIO()
+        shown = (
+            picture if self._divisor == 1 else picture.resize((width, height), Image.Resampling.BOX)
+        )
+        shown.save(content, "JPEG", quality=_QUALITY, subsampling=0)
+        return content.getvalue()
+
+
+def _upright(
+    parts: list[ScanPart], wish: str | None, usual: str | None
+) -> tuple[list[ScanPart], tuple[str, str]]:
+    """Turn the parts so that z is up, along the axis of the largest level surface."""
+    area = {axis: _largest_level(parts, axis) for axis in ("y", "z")}
+    best = max(area, key=lambda axis: area[axis])
+    if usual is not None and area[best] < _CLEARLY * area[usual]:
+        best = usual
+    axis = wish or best
+    how = "given" if wish else "detected; --up AXIS sets it"
+    turn = np.array(_ROTATIONS[axis])
+    turned = [replace(part, vertices=part.vertices @ turn.T) for part in parts]
+    return turned, ("up axis", f"{axis} ({how})")
+
+
+def _levels(
+    parts: Sequence[ScanPart], axis: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the area of level surfaces by height along an axis, and the heights."""
+    height = "xyz".index(axis[-1])
+    corners = np.concatenate([part.vertices[part.triangles] for part in parts])
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    area = np.linalg.norm(normal, axis=1)
+    level = np.abs(normal[:, height]) > 0.9 * area
+    middle = corners[:, :, height].mean(axis=1)
+    # Outliers do not count: a floor of two triangles has a large area, specks have a small one.
+    order = np.argsort(middle)
+    share = np.cumsum(area[order]) / area.sum()
+    low, high = middle[order][np.searchsorted(share, (_OUTLIERS, 1 - _OUTLIERS))]
+    counts, edges = np.histogram(
+        np.clip(middle[level], low, high), _BINS, (low, high + 1e-9), weights=area[level]
+    )
+    return counts, (edges[:-1] + edges[1:]) / 2
+
+
+def _largest_level(parts: Sequence[ScanPart], axis: str) -> float:
+    return float(_levels(parts, axis)[0].max())
+
+
+def _storey(parts: Sequence[ScanPart]) -> float | None:
+    """Return the height from the lowest large level surface to the next, in units of the file."""
+    counts, heights = _levels(parts, "z")
+    smooth = np.convolve(np.pad(counts, 2), (0.5, 1.0, 1.0, 1.0, 0.5), mode="same")
+    peaks, _ = find_peaks(smooth, height=_LEVEL * smooth.max(), distance=_BINS // 16)
+    if len(peaks) < 2:
+        return None
+    return float(heights[min(peaks[1] - 2, _BINS - 1)] - heights[max(peaks[0] - 2, 0)])
+
+
+def _to_metres(
+    parts: list[ScanPart], wish: float | None, *, metric: bool
+) -> tuple[list[ScanPart], tuple[str, str]]:
+    """Scale the parts to metres, by the height of a storey or else by the extent."""
+    storey = _storey(parts)
+    corners = np.concatenate([part.vertices for part in parts])
+    size = np.ptp(corners, axis=0)
+    unit, why = _unit(storey, float(size[:2].max()), float(size[2]), metric=metric)
+    scale = wish or UNITS[unit]
+    if wish:
+        why = "given"
+    sized = [replace(part, vertices=part.vertices * scale) for part in parts]
+    return sized, ("unit", f"{scale:g} m ({why})")
+
+
+def _unit(storey: float | None, extent: float, height: float, *, metric: bool) -> tuple[str, str]:
+    """Return the unit of a scan by its sizes in that unit, and the reason."""
+    detected = "detected; --scale METRES sets it"
+    if storey is not None:
+        if metric and _METRES_STOREY_M[0] <= storey <= _METRES_STOREY_M[1]:
+            return "m", "as glTF defines; --scale METRES sets it"
+        for unit, metres in UNITS.items():
+            if _STOREY_M[0] <= storey * metres <= _STOREY_M[1]:
+                return unit, f"{detected}: a storey of {storey * metres:.1f} m"
+    for unit in ("m", "cm", "mm"):
+        low = unit == "m" or height * UNITS[unit] <= _HEIGHT_M
+        if low and _EXTENT_M[0] <= extent * UNITS[unit] <= _EXTENT_M[1]:
+            return unit, "assumed from the extent; --scale METRES sets it"
+    raise WorldError(
+        f"its extent of {extent:g} fits no unit; give --scale METRES, the length of a unit of the file"
+    )
