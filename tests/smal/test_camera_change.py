@@ -91,7 +91,7 @@ def test_pitch_is_compared_only_when_the_robot_drives_along(
     assert lengths.sum() > 1.0
     compared.clear()
     for turned in np.arange(0.0, math.pi, 0.08):
-        there = pose + (0.0, 0.0, turned)
+        there = pose + np.array([0.0, 0.0, turned])
         localizer.locate(perceive(ROOM.look(there), USUAL), there.tolist())
     certainty, lengths = np.array(compared).T
     assert certainty[-1] < 0.1
