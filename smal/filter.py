@@ -124,20 +124,13 @@ class Newness:
     Therefore many small changes add up to one new view. A view that comes back, or noise while the
     robot stands, adds none. A turn changes a view fast, but a place that resembles the scene goes on
     resembling it: a turn counts as `VisualMap.repeated` measures it.
-
-    Attributes
-    ----------
-    certain
-        Part of the last result that is certain. A turn that changes a view as much as a new place
-        does hides what else has changed: then only the turn and the way by the odometry count.
     """
 
     def __init__(self, visual_map: VisualMap) -> None:
         self._map = visual_map
         self._counted = self._last = np.zeros(len(visual_map.basis), dtype=np.float32)
-        self._used = self._used_certain = 0.0
+        self._used = 0.0
         self._step = np.zeros(3)
-        self.certain = 0.0
 
     def move(self, step: Floats) -> None:
         """Follow the robot by a step: ahead, left, turned (3,)."""
@@ -152,27 +145,64 @@ class Newness:
         like_last = correlation(float(centred @ self._last))
         if like_last < self._map.next_correlation:
             # The earlier views showed another scene.
-            self._used = self._used_certain = 0.0
+            self._used = 0.0
         self._last = centred
         like_counted = correlation(float(centred @ self._counted))
-        ahead, left, turned = self._step
-        by_turn = self._map.expected(np.array([0.0, 0.0, turned]))
-        by_way = self._map.expected(np.array([ahead, left, 0.0]))
-        repeated = self._map.repeated(turned)
-        like = min(like_counted / max(by_turn, 1e-9), 1.0)
-        same = min(like, math.sqrt(like * by_way)) * repeated
-        hidden = by_turn < self._map.next_correlation
+        same = self._without_turn(like_counted, self._step) * self._map.repeated(self._step[2])
         new = _new(same)
-        certain = _new(by_way * repeated) if hidden else new
         newness = max(new - self._used, 0.0)
-        self.certain = min(max(certain - self._used_certain, 0.0), newness)
         self._used = max(new, self._used)
-        self._used_certain = max(certain, self._used_certain)
         if same < self._map.next_correlation:
             self._counted = centred
-            self._used = self._used_certain = 0.0
+            self._used = 0.0
             self._step = np.zeros(3)
         return newness
+
+    def _without_turn(self, like: float, step: Floats) -> float:
+        """Return the correlation of two views, a step apart, without the change by the turn."""
+        ahead, left, turned = step
+        by_turn = self._map.expected(np.array([0.0, 0.0, turned]))
+        by_way = self._map.expected(np.array([ahead, left, 0.0]))
+        like = min(like / max(by_turn, 1e-9), 1.0)
+        return min(like, math.sqrt(like * by_way))
+
+
+class SeenDirections:
+    """How new a view is for certain, 0 to 1: by the odometry alone.
+
+    A fast turn hides what else has changed in a view. But the way is new, and from one spot the
+    directions in which the robot has not looked yet.
+    """
+
+    def __init__(self, visual_map: VisualMap) -> None:
+        self._map = visual_map
+        self._pose: Floats | None = None  # Relative to the spot.
+        self._range_rad = (0.0, 0.0)
+        self._used = 0.0
+
+    def move(self, step: Floats) -> None:
+        """Follow the robot by a step: ahead, left, turned (3,)."""
+        if self._pose is not None:
+            self._pose = placed(step, self._pose)
+
+    def new(self) -> float:
+        """Return how new the next view is; the first is entirely new."""
+        if self._pose is None:
+            self._pose = np.zeros(3)
+            return 1.0
+        ahead, left, heading = self._pose
+        least, most = self._range_rad
+        beyond = max(heading - most, least - heading, 0.0)
+        unseen = max(math.tau - (most - least), 0.0)
+        self._range_rad = (min(least, heading), max(most, heading))
+        same = self._map.expected(np.array([ahead, left, 0.0]))
+        by_way = max(_new(same) - self._used, 0.0)
+        self._used = max(_new(same), self._used)
+        if same < self._map.next_correlation:
+            self._pose = np.zeros(3)
+            self._range_rad = (0.0, 0.0)
+            self._used = 0.0
+        return min(by_way + _new(self._map.repeated(min(beyond, unseen))), 1.0)
 
 
 def _new(same: float) -> float:
@@ -240,6 +270,7 @@ class Filter:
     def forget_view(self) -> None:
         """Forget the views before: the next one is entirely new, and neither confirms nor denies a jump."""
         self._newness = Newness(self._map)
+        self._directions = SeenDirections(self._map)
         #: Components of the last new view, and the step since then.
         self._last = np.zeros(self._map.basis.shape[1], dtype=np.float32)
         self._since = np.zeros(3)
@@ -298,6 +329,7 @@ class Filter:
         if self._started:
             self._since = placed(step, self._since)
         self._newness.move(step)
+        self._directions.move(step)
         self._frozen.observe(centred, step if self._started else np.zeros(3))
         seen = self._seen(centred)
         if self._started:
@@ -316,11 +348,13 @@ class Filter:
             self._last = seen.components
             self._since = np.zeros(3)
             self._weigh(seen)
-            certain = 1.0 if self._evidence < 0.0 else self._newness.certain / seen.newness
-            self._support = max(self._support + certain * self._evidence, 0.0)
+            certain = min(self._directions.new() / seen.newness, 1.0)
+            share = 1.0 if self._evidence < 0.0 else certain
+            self._support = max(self._support + share * self._evidence, 0.0)
             self._note_sure()
         if self._odds.lost > 0.5:
             self._support = 0.0
+            self._directions = SeenDirections(self._map)
         self._note_seen(seen, abs(movement.ahead))
         return self._belief(seen)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from smal.camera import TURNS_DEG
 from smal.features import extract
 from smal.files.packed import unit
-from smal.filter import Belief, Filter, Newness
+from smal.filter import Belief, Filter, SeenDirections
 from smal.map import VisualMap
 from smal.movement import BY_ATOMS, STILL, Movement, placed
 from smal.particles import Particles
@@ -121,20 +121,26 @@ def test_it_follows_a_drive_that_starts_aside_and_turned(
     assert beliefs[-1].lost < 0.1
 
 
-@pytest.mark.parametrize(("step", "certain"), [((0.0, 0.0, 0.08), 0.05), ((0.2, 0.0, 0.0), 1.0)])
-def test_unlike_views_are_new_for_certain_when_the_robot_drives(
-    step: tuple[float, float, float], certain: float
-) -> None:
+def test_only_unseen_directions_are_new_when_the_robot_turns() -> None:
     visual_map, _ = usual_map()
-    newness = Newness(visual_map)
-    rng = np.random.default_rng(3)
-    sums = np.zeros(2)
-    for _ in range(10):
-        view = rng.standard_normal(len(visual_map.basis)).astype(np.float32)
-        newness.move(np.array(step))
-        sums += newness.of(view / np.linalg.norm(view)), newness.certain
-    assert sums[0] > 5.0
-    assert sums[1] / sums[0] == pytest.approx(certain, abs=0.04)
+    directions = SeenDirections(visual_map)
+    assert directions.new() == 1.0
+
+    def turned(step: float, count: int) -> float:
+        new = 0.0
+        for _ in range(count):
+            directions.move(np.array([0.0, 0.0, step]))
+            new += directions.new()
+        return new
+
+    once = turned(0.08, 10)
+    assert 0.0 < once < 1.0
+    assert turned(-0.08, 10) == 0.0
+    assert turned(-0.08, 10) == pytest.approx(once)
+    whole = once + once + turned(-0.08, 200)
+    assert whole == pytest.approx(once * math.tau / 0.8, rel=0.02)
+    directions.move(np.array([visual_map.correlation_length, 0.0, 0.0]))
+    assert directions.new() > 0.3
 
 
 @pytest.mark.parametrize("frames_before", [1, 20])
