@@ -43,6 +43,7 @@ _DETAILS: Final = (
     "variations",
     "speed_m_s",
     "turn_rate_rad_s",
+    "frames_hz",
     "disk",
 )
 # Interval of images between episodes, when the robot publishes no frames.

@@ -2,15 +2,16 @@
 
 import { course } from "./ahead.js";
 import { $, cleared, color } from "./element.js";
+import { teaching } from "./words.js";
 
-const HEIGHT = 220, MARGIN = 18, LEAST_M = 4, CROSS_PX = 6;
+const MARGIN = 18, LEAST_M = 4, CROSS_PX = 6;
 const ARROW_PX = [[10, 0], [-6, 6], [-3, 0], [-6, -6]];
 const canvas = $("#map canvas"), legend = $("#map .victim");
 
 export function drawMap({ model, way, pose, tracked, belief, around, robot, health, goal }, age) {
-  const [pen, width] = cleared(canvas, HEIGHT);
+  const height = canvas.clientHeight, [pen, width] = cleared(canvas, height);
   // Drives in another world have no position in this world.
-  const elsewhere = Boolean(model?.world && robot?.world && model.world !== robot.world);
+  const other = Boolean(model?.world && robot?.world && model.world !== robot.world), elsewhere = other || teaching(robot);
   const taught = model?.x && !elsewhere ? model.x.map((x, k) => [x, model.y[k]]) : [];
   const today = way && pose && way.episode === pose.episode ? [...way.points, pose.pose] : pose ? [pose.pose] : [];
   const believed = age("belief") < 2 && !elsewhere ? belief?.pose : undefined;
@@ -20,14 +21,14 @@ export function drawMap({ model, way, pose, tracked, belief, around, robot, heal
   if (all.length === 0) {
     pen.fillStyle = color("soft");
     pen.font = "14px system-ui, sans-serif";
-    return pen.fillText("Nothing to draw yet.", MARGIN, HEIGHT / 2);
+    return pen.fillText("Nothing to draw yet.", MARGIN, height / 2);
   }
   const axes = [0, 1].map((axis) => all.map((point) => point[axis]));
   const spans = axes.map((values) => [Math.min(...values), Math.max(...values)]);
   const [middleX, middleY] = spans.map(([low, high]) => (low + high) / 2);
-  const room = [width, HEIGHT].map((pixels) => pixels - 2 * MARGIN);
+  const room = [width, height].map((pixels) => pixels - 2 * MARGIN);
   const scale = Math.min(...spans.map(([low, high], axis) => room[axis] / Math.max(high - low, LEAST_M)));
-  const at = ([x, y]) => [width / 2 + (x - middleX) * scale, HEIGHT / 2 - (y - middleY) * scale];
+  const at = ([x, y]) => [width / 2 + (x - middleX) * scale, height / 2 - (y - middleY) * scale];
   /** Pixel at an offset in pixels, ahead and to the left of a pose. */
   const beside = ([x, y, heading], [ahead, left]) => {
     const [px, py] = at([x, y]), [cos, sin] = [Math.cos(heading), Math.sin(heading)];
