@@ -252,6 +252,8 @@ class ConsoleService:
             goal = None if begun.victim is None else [round(metres, 2) for metres in begun.victim]
             self._board.put("goal", {"episode": begun.episode, "at": goal})
 
+        if not self._jobs.running:
+            self._board.put("job", None)  # An old failure must not stand over the next outcome.
         place = {"world": ask.world, "variation": ask.variation, "mode": "realtime"}
         self._operator.begin(
             request.model_copy(update=place), prepare, lambda: self.attended, show_goal

@@ -18,11 +18,8 @@ export function drawMap({ model, way, pose, tracked, belief, around, robot, heal
   const victim = goal?.at && goal.episode === robot?.episode ? goal.at : null;
   legend.classList.toggle("absent", !victim);
   const all = [...taught, ...today, ...(believed ? [believed] : []), ...(victim ? [victim] : [])];
-  if (all.length === 0) {
-    pen.fillStyle = color("soft");
-    pen.font = "14px system-ui, sans-serif";
-    return pen.fillText("Nothing to draw yet.", MARGIN, height / 2);
-  }
+  $("#map").classList.toggle("nothing", all.length === 0);
+  if (all.length === 0) return;
   const axes = [0, 1].map((axis) => all.map((point) => point[axis]));
   const spans = axes.map((values) => [Math.min(...values), Math.max(...values)]);
   const [middleX, middleY] = spans.map(([low, high]) => (low + high) / 2);

@@ -1,7 +1,7 @@
 // Recordings, learning, and runs with a model.
 
 import { $, element, say } from "./element.js";
-import { jobText, recordingFacts } from "./words.js";
+import { jobFacts, jobText, recordingFacts } from "./words.js";
 import { chosenWorld, madeWorld, showNews, worldOf } from "./world.js";
 
 const REALLY_MS = 3000;
@@ -15,9 +15,8 @@ export function wireTeaching(ask) {
   send($("#drive-form"), ({ goal, name }) => begin({ do: "drive", goal: goal.trim(), name: plain(name) }));
   send(learn, ({ name, scheme }) => ask({ do: "learn", name: name.trim(), scheme, recordings: picked() }));
   send(run, ({ goal = null, kidnap, ...what }) => {
-    const counts = ["seed", "obstacles", "people"].map((name) => [name, Number(what[name])]);
-    const made = worldOf("") ? { ...Object.fromEntries(counts), kidnap_tick: Number(kidnap) || null } : { seed: Number(what.seed), victim: "there" };
-    begin({ do: "run", goal, model: what.model, start: what.start, victim: what.victim, ...made });
+    for (const count of ["seed", "obstacles", "people"]) what[count] = Number(what[count]);
+    begin({ do: "run", goal, kidnap_tick: Number(kidnap) || null, ...what });
   });
   $("#learn-today").onclick = () => ask({ do: "add", model: chosenModel().name, recordings: runsOfToday() });
   list.onchange = ({ target }) => target.type === "checkbox" && chosen.set(target.value, target.checked);
@@ -201,7 +200,8 @@ export function drawJob(now) {
   if (kind === "world" && working === name) showNews(text);
   if (kind === "world" && working === name && outcome === "done") madeWorld(name);
   const bar = element("progress", { max: 1, "aria-label": text });
+  const facts = outcome ? "" : jobFacts(now);
   if (!outcome && share !== null) bar.value = share;
   const hints = (remarks ?? []).filter((remark) => remark !== why).map((remark) => element("p", { className: "hint" }, remark));
-  job.replaceChildren(element("p", {}, text), ...(outcome ? hints : [bar]));
+  job.replaceChildren(element("p", {}, facts ? `${text} ${facts}` : text), ...(outcome ? hints : [bar]));
 }

@@ -94,12 +94,15 @@ export function planFacts(plan, belief, goal) {
   };
 }
 
-/** Progress of a job with its numbers, or its result. */
-export function jobText({ name, doing, done, stage, share, left_s, outcome, why }) {
-  const left = left_s ? `, some ${seconds(left_s)} left` : "";
-  const now = [doing, stage && `${stage}${share === null ? "" : ` ${percent(share)}`}${left}`].filter(Boolean).join(": ");
-  return { done, cancelled: `${name} was cancelled.`, failed: `${doing} failed: ${why}` }[outcome] ?? now;
+/** Numbers of a running job. */
+export function jobFacts({ stage, share, left_s }) {
+  const numbers = [share === null ? "" : percent(share), left_s ? `some ${seconds(left_s)} left` : ""];
+  return [stage, numbers.filter(Boolean).join(", ")].filter(Boolean).join(": ");
 }
+
+/** What a job does, or its result. */
+export const jobText = ({ name, doing, done, outcome, why }) =>
+  ({ done, cancelled: `${name} was cancelled.`, failed: `${doing} failed: ${why}` })[outcome] ?? `${doing} …`;
 
 /** Description of a recording, or the reason why it cannot teach. */
 export function recordingFacts(one, when) {

@@ -165,10 +165,10 @@ def test_library_deletes_only_listed_recordings(
     eventually(lambda: page.beats)
     away = ("other/drive-1.mcap", "../drives/drive-2.mcap", "drives/../other/drive-1.mcap")
     for name in (*away, str(kept), ""):
-        page.say(do="delete", recording=name)
-    page.say(do="delete", recording="drives/drive-2.mcap")
+        page.say(do="delete", file=name)
+    page.say(do="delete", file="drives/drive-2.mcap")
     eventually(lambda: not page.state["library"]["recordings"])
-    assert page.news().count("recording not found") == 5
+    assert page.news().count("file not found") == 5
     assert kept.exists()
     assert not gone.exists()
 

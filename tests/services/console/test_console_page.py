@@ -24,7 +24,7 @@ from services.simulator.sensors.camera import depth_message
 from tests.services.console.conftest import Nobody
 from tests.services.waiting import eventually
 from tests.smal.depth_world import MOUNT, depth
-from tests.system.console.console_site import run_in
+from tests.system.console.console_site import act, run_in
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -69,7 +69,8 @@ def choice(page: Page, name: str) -> str:
 
 def begin(page: Page, nobody: Nobody) -> Any:
     """Begin a drive; return what was asked for."""
-    page.click("#drive-form button")
+    page.click("#steps [data-panel=teach]")
+    act(page, "Begin a drive")
     return eventually(lambda: nobody.asked.pop() if nobody.asked else None)
 
 
@@ -107,12 +108,12 @@ def test_a_model_is_learned_for_the_scheme_that_is_chosen(
 ) -> None:
     tell_robot(board, world="yard", worlds="yard", variation="day", variations="day")
     board.put("library", {"folder": "drives", "models": [], "recordings": [recording("a-s-1")]})
-    page.wait_for_selector("#recordings input")
+    page.wait_for_selector("#recordings input", state="attached")
     page.fill("#learn-form [name=name]", "way")
     if scheme == "paper":
         page.select_option("#learn-form [name=scheme]", scheme)
     page.click("#seat")
-    page.click("#learn-form button")
+    act(page, "Learn")
     ask = eventually(lambda: next((ask for ask in nobody.asked if ask.do == "learn"), None))
     assert (ask.name, ask.scheme, ask.recordings) == ("way", scheme, ("drives/a-s-1.mcap",))
 
@@ -135,15 +136,16 @@ def test_a_model_learns_more_from_the_runs_of_today(
         "library",
         {"folder": "drives", "models": models, "recordings": [runs[0], *others, *elsewhere]},
     )
-    page.wait_for_selector("#recordings input")
+    page.wait_for_selector("#recordings input", state="attached")
     assert page.is_hidden("#learn-today")
     board.put(
         "library",
         {"folder": "drives", "models": models, "recordings": [*runs, *others, *elsewhere]},
     )
+    page.click("#steps [data-panel=run]")
     page.wait_for_selector("#learn-today:visible")
     assert page.inner_text("#learn-today") == "Learn from today's 2 runs"
-    page.click("#seat")
+    page.click("#steps [data-panel=run]")
     page.click("#learn-today")
     ask = eventually(lambda: next((ask for ask in nobody.asked if ask.do == "add"), None))
     assert (ask.model, ask.recordings) == ("models/way.smal", ("drives/a.mcap", "drives/b.mcap"))
@@ -163,13 +165,11 @@ def test_driver_cancels_an_episode_that_is_being_begun(
 ) -> None:
     told = {"episode": None, "answers": True, "emergency": False, "at": 0.0}
     board.put("robot", told | {"waiting": True})
-    page.wait_for_selector("#camera .empty:has-text('Waiting for the robot')")
-    assert not page.is_visible("#withdraw"), "who watches cancels nothing"
-    page.click("#seat")
-    page.click("#withdraw")
+    page.wait_for_selector("#status:has-text('Waiting for the robot')")
+    act(page, "Cancel")
     eventually(lambda: [ask.do for ask in nobody.asked] == ["withdraw"])
     board.put("robot", told | {"waiting": False})
-    page.wait_for_selector("#withdraw", state="hidden")
+    page.wait_for_selector("#actions :text('Cancel')", state="hidden")
 
 
 def test_page_draws_course_and_obstacles_over_the_picture(
@@ -221,7 +221,7 @@ def test_box_goes_with_found_unless_the_robot_moves_on(
         page.mouse.up()
 
     def found() -> tuple[float, ...] | None:
-        page.click("#found")
+        act(page, "Found: end here")
         eventually(lambda: nobody.asked)
         return nobody.asked.pop().box
 
@@ -231,6 +231,9 @@ def test_box_goes_with_found_unless_the_robot_moves_on(
         "waiting": False,
         "emergency": False,
         "at": board.clock(),
+        "driver": "teleop",
+        "seconds": 9.0,
+        "moved": True,
     }
     board.put("robot", told)
     page.click("#seat")
