@@ -9,10 +9,10 @@ const section = $("#belief"), strip = $("#belief .strip"), image = $("#belief im
 image.onload = image.onerror = ({ type }) => image.classList.toggle("none", type === "error");
 
 export function drawBelief({ model, belief, plan, robot }, age) {
-  section.hidden = teaching(robot) || !(model?.trouble || belief);
+  section.hidden = teaching(robot) || !(model?.trouble || (model?.id && belief));
   if (section.hidden) return;
-  section.classList.toggle("troubled", !model?.id);
-  if (!model?.id) return say($("#belief .facts"), model?.trouble ?? "The page reads the model …");
+  section.classList.toggle("troubled", Boolean(model.trouble));
+  if (model.trouble) return say($("#belief .facts"), model.trouble);
   const fresh = Boolean(belief) && age < 2, key = belief?.keyframe;
   section.classList.toggle("old", !fresh);
   section.classList.toggle("nowhere", fresh && key === undefined);

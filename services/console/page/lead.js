@@ -50,7 +50,7 @@ function result({ robot, distance }) {
 /** Actions during an episode, the next one first. */
 function during({ driver, source, reason, cause, emergency }) {
   const byHand = driver === "teleop" || reason === "taken_over" || source === "teleop";
-  const ends = byHand ? ["found", "end"] : ["end", "found"];
+  const ends = byHand ? ["found", "end"] : ["quit", "found"];
   return cause || emergency || reason === "taken_over" ? ["resume", ...ends] : ends;
 }
 

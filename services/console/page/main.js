@@ -170,6 +170,8 @@ function stop() {
 
 $("#stop").onclick = stop;
 $("#seat").onclick = () => (drive.sits ? drive.leave() : drive.take());
+// A late press of “Resume” must not end the episode.
+const end = (button) => really(button, "Really end?") && drive.ask({ do: "end", found: false });
 // The other actions submit their forms.
 const acts = {
   found: (button) => {
@@ -177,7 +179,7 @@ const acts = {
     drive.ask({ do: "end", found: true, box: box.drawn });
     box.clear();
   },
-  end: () => drive.ask({ do: "end", found: false }),
+  end, quit: end,
   ...Object.fromEntries(["resume", "withdraw", "cancel"].map((what) => [what, () => drive.ask({ do: what })])),
 };
 for (const button of buttons) {

@@ -212,10 +212,14 @@ def test_box_goes_with_found_unless_the_robot_moves_on(
     page: Page, nobody: Nobody, board: Board
 ) -> None:
     def draw(*corners: tuple[float, float]) -> None:
-        """Drag over the picture, which is 4 to 3, and shown whole."""
-        at = page.locator("#camera canvas").bounding_box()
+        """Drag over the picture, which is 4 to 3, and shown whole in the middle."""
+        at = page.locator("#camera > .picture > canvas").bounding_box()
+        scale = min(at["width"] / 4, at["height"] / 3)
         for number, (x, y) in enumerate(corners):
-            page.mouse.move(at["x"] + at["width"] * x, at["y"] + at["height"] * y)
+            page.mouse.move(
+                at["x"] + at["width"] / 2 + 4 * scale * (x - 0.5),
+                at["y"] + at["height"] / 2 + 3 * scale * (y - 0.5),
+            )
             if number == 0:
                 page.mouse.down()
         page.mouse.up()
