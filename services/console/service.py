@@ -250,7 +250,8 @@ class ConsoleService:
 
         def show_goal(begun: ResetReply) -> None:  # Only simulators have the victim's position.
             goal = None if begun.victim is None else [round(metres, 2) for metres in begun.victim]
-            self._board.put("goal", {"episode": begun.episode, "at": goal})
+            boxes = {"boxes": begun.things}
+            self._board.put("goal", {"episode": begun.episode, "at": goal} | boxes)
 
         if not self._jobs.running:
             self._board.put("job", None)  # An old failure must not stand over the next outcome.

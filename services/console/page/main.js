@@ -41,7 +41,7 @@ function onNews(channels) {
   for (const channel of channels) draws[channel]?.(watch.state[channel]);
   drawLead();
   if (channels.some((one) => ["belief", "plan", "model"].includes(one))) drawBelief(watch.state, watch.age("belief"));
-  if (channels.some((one) => ["pose", "way", "model", "belief", "tracked", "goal"].includes(one))) {
+  if (channels.some((one) => ["pose", "way", "model", "belief", "tracked", "goal", "ground"].includes(one))) {
     drawMap(watch.state, (channel) => watch.age(channel));
   }
 }

@@ -8,7 +8,7 @@ const MARGIN = 18, LEAST_M = 4, CROSS_PX = 6;
 const ARROW_PX = [[10, 0], [-6, 6], [-3, 0], [-6, -6]];
 const canvas = $("#map canvas"), legend = $("#map .victim");
 
-export function drawMap({ model, way, pose, tracked, belief, around, robot, health, goal }, age) {
+export function drawMap({ model, way, pose, tracked, belief, around, robot, health, goal, ground }, age) {
   const height = canvas.clientHeight, [pen, width] = cleared(canvas, height);
   // Drives in another world have no position in this world.
   const other = Boolean(model?.world && robot?.world && model.world !== robot.world), elsewhere = other || teaching(robot);
@@ -18,6 +18,8 @@ export function drawMap({ model, way, pose, tracked, belief, around, robot, heal
   const victim = goal?.at && goal.episode === robot?.episode ? goal.at : null;
   legend.classList.toggle("absent", !victim);
   const all = [...taught, ...today, ...(believed ? [believed] : []), ...(victim ? [victim] : [])];
+  // The ground plan alone shows the task; a town is far larger than a way.
+  if (ground) all.push(ground.start, ground.victim);
   $("#map").classList.toggle("nothing", all.length === 0);
   if (all.length === 0) return;
   const axes = [0, 1].map((axis) => all.map((point) => point[axis]));
@@ -40,6 +42,8 @@ export function drawMap({ model, way, pose, tracked, belief, around, robot, heal
     Object.assign(pen, { strokeStyle: color(shade), fillStyle: color(shade), lineWidth: thickness, lineJoin: "round" });
     filled ? pen.fill(path) : pen.stroke(path);
   };
+  for (const { kind, points, filled } of ground?.shapes ?? []) trace(points.map(at), kind, 1, { filled });
+  for (const box of (goal?.episode === pose?.episode && goal?.boxes) || []) trace(box.map(at), "box", 1, { filled: true });
   const arrow = (pose, shade, filled) =>
     trace(ARROW_PX.map((corner) => beside(pose, corner)), shade, 2, { closed: true, filled });
 
