@@ -4,9 +4,20 @@ import { course } from "./ahead.js";
 import { $, cleared, color } from "./element.js";
 import { teaching } from "./words.js";
 
-const MARGIN = 18, LEAST_M = 4, CROSS_PX = 6;
+const MARGIN = 18, NEAR_PX = 24, LEAST_M = 4, CROSS_PX = 6;
 const ARROW_PX = [[10, 0], [-6, 6], [-3, 0], [-6, -6]];
-const canvas = $("#map canvas"), legend = $("#map .victim");
+const canvas = $("#map canvas"), place = $("#place"), legend = $("#map .victim");
+
+let shown = { places: [] };
+
+/** Show the taught picture of the place at a click; a click elsewhere hides it. */
+canvas.onclick = ({ offsetX, offsetY }) => {
+  const off = shown.places.map(([x, y]) => Math.hypot(x - offsetX, y - offsetY)), key = off.indexOf(Math.min(...off));
+  place.hidden = !(off[key] <= NEAR_PX);
+  if (place.hidden) return;
+  place.src = `taught/${shown.model.id}/${key}`;
+  place.alt = `Taught picture, ${shown.model.along[key].toFixed(1)} m along the way`;
+};
 
 export function drawMap({ model, way, pose, tracked, belief, around, robot, health, goal, ground }, age) {
   const height = canvas.clientHeight, [pen, width] = cleared(canvas, height);
@@ -47,6 +58,7 @@ export function drawMap({ model, way, pose, tracked, belief, around, robot, heal
   const arrow = (pose, shade, filled) =>
     trace(ARROW_PX.map((corner) => beside(pose, corner)), shade, 2, { closed: true, filled });
 
+  shown = { model, places: taught.map(at) };
   for (const drive of new Set(taught.length > 0 ? model.drives : [])) {
     const points = taught.filter((_, k) => model.drives[k] === drive).map(at);
     trace(points, "taught", 3);

@@ -278,3 +278,92 @@ def test_keys_and_sticks_are_velocities(page: Page, nobody: Nobody) -> None:
     has(1, 0)
     push(0, -1, "false")  # its battery is empty
     has()
+
+
+DRIVE = {
+    "episode": "e", "answers": True, "waiting": False, "emergency": False, "purpose": "drive",
+    "driver": "teleop", "source": "teleop", "goal": "victim", "seconds": 3.0, "tick": 30,
+}  # fmt: skip
+
+
+def test_found_asks_when_the_robot_has_not_moved(page: Page, nobody: Nobody, board: Board) -> None:
+    board.put("robot", DRIVE | {"moved": False, "at": board.clock()})
+    act(page, "Found: end here")
+    page.wait_for_selector("#next:text('Here? You have not moved')")
+    assert nobody.asked == []
+    page.click("#next")
+    eventually(lambda: [ask.do for ask in nobody.asked] == ["end"])
+
+
+def test_belief_is_hidden_while_a_person_teaches(page: Page, board: Board) -> None:
+    board.put("model", {"name": "m", "trouble": "broken"})
+    page.click("#steps [data-panel=run]")
+    page.wait_for_selector("#belief:has-text('broken')")
+    board.put("robot", DRIVE | {"at": board.clock()})
+    page.wait_for_selector("#belief", state="hidden")
+
+
+def test_dead_robot_is_grey(page: Page, board: Board) -> None:
+    board.put("robot", DRIVE | {"episode": None, "answers": False, "at": board.clock() - 12.0})
+    page.wait_for_selector(".pill.old:has-text('The robot does not answer for 1')")
+    assert page.get_attribute("#camera", "class") == "old"
+
+
+def test_run_has_the_options_that_were_chosen(page: Page, nobody: Nobody, board: Board) -> None:
+    tell_robot(board, world="yard", worlds="yard", variation="day", variations="day")
+    tell_models(board, way=["victim"])
+    page.click("#steps [data-panel=run]")
+    page.click("text=Make it harder")
+    for name, choice_ in (("victim", "moved"), ("obstacles", "2"), ("people", "5")):
+        page.select_option(f"#run-form [name={name}]", choice_)
+    page.select_option("#run-form [name=kidnap]", label="after 10 s")
+    act(page, "Run")
+    run = eventually(lambda: nobody.asked.pop() if nobody.asked else None)
+    assert (run.victim, run.obstacles, run.people, run.kidnap_tick) == ("moved", 2, 5, 100)
+
+
+def test_files_are_renamed_and_deleted(page: Page, nobody: Nobody, board: Board) -> None:
+    tell_models(board, **{"models/way.smal": ["victim"]})
+    page.click("#steps [data-panel=run]")
+    page.click("#models summary")
+    page.click("#models [data-does=rename]")
+    page.fill("#models [name=label]", "dock")
+    page.click("#models [data-does=rename]")
+    ask = eventually(lambda: nobody.asked.pop() if nobody.asked else None)
+    assert (ask.do, ask.file, ask.name) == ("rename", "models/way.smal", "dock")
+    page.click("#models [data-does=delete]")
+    assert nobody.asked == []
+    page.click("#models [data-does=delete]")
+    eventually(lambda: [ask.do for ask in nobody.asked] == ["delete"])
+
+
+SMALL = """[...document.querySelectorAll("button, select, input, summary, .file")]
+    .filter((one) => one.checkVisibility() && !one.closest(".file input, .files label"))
+    .map((one) => [one.outerHTML.slice(0, 80), one.getBoundingClientRect()])
+    .filter(([, {width, height}]) => width > 0 && (width < 44 || height < 44)).map(([html]) => html)"""
+
+
+def test_phone_keeps_pad_and_stop_in_reach(page: Page, board: Board) -> None:
+    tell_robot(board, world="yard", worlds="yard", variation="day", variations="day")
+    page.set_viewport_size({"width": 390, "height": 844})
+    for panel in ("teach", "learn", "run", "more"):
+        page.click(f"#steps [data-panel={panel}]")
+        assert run_in(page, "document.documentElement.scrollWidth") == 390
+        assert run_in(page, SMALL) == []
+        run_in(page, "scrollTo(0, document.body.scrollHeight)")
+        for part in ("#pad", "#stop"):
+            box = page.locator(part).bounding_box()
+            assert box["y"] > 0
+            assert box["y"] + box["height"] <= 844
+
+
+@pytest.mark.parametrize("size", [(1440, 900), (1024, 768), (390, 844)])
+def test_next_step_is_seen_without_scrolling(
+    page: Page, board: Board, size: tuple[int, int]
+) -> None:
+    board.put("robot", DRIVE | {"episode": None, "at": board.clock()})
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.wait_for_selector("#next:text('Begin a drive')")
+    for part in ("#next", "#stop", "#pad", ".pill", "#camera > .picture"):
+        box = page.locator(part).bounding_box()
+        assert 0 <= box["y"] <= size[1] - box["height"], part
