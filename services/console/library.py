@@ -144,7 +144,8 @@ class Library:
 
     def _listed(self, name: str) -> Path:
         """Return the path of a recording or model, without following a link."""
-        if name not in {one.name for one in (*self.recordings(), *self.models())}:
+        recorded = any(one.name == name for one in self.recordings())
+        if not recorded and all(one.name != name for one in self.models()):
             raise ServiceError("file not found; it was deleted or renamed")
         folder, _, last = name.rpartition("/")
         return below(self.root, folder) / last

@@ -15,12 +15,13 @@ _COARSE_M: Final = 0.1  # Details below it are invisible on a map.
 
 def plan_of(world: World) -> PlanReply:
     """Return the shapes of a world; of a large one those nearest to its task."""
-    task = shapely.LineString([(world.start.x, world.start.y), (world.victim.x, world.victim.y)])
+    start = (world.start.x, world.start.y)
+    victim = (world.victim.x, world.victim.y)
+    task = shapely.LineString([start, victim])
     drawn = [(kind, part) for kind, shape in _drawn(world) for part in shapely.get_parts(shape)]
     # Stable: the ground stays below the things on it.
     near = sorted(range(len(drawn)), key=lambda k: task.distance(drawn[k][1]))[:MOST_SHAPES]
     shapes = tuple(_shape(*drawn[k]) for k in sorted(near))
-    start, victim = task.coords
     return PlanReply(world=world.name, start=start, victim=victim, shapes=shapes)
 
 
