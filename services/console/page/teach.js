@@ -22,7 +22,7 @@ export function wireTeaching(ask) {
   list.onchange = ({ target }) => target.type === "checkbox" && chosen.set(target.value, target.checked);
   for (const files of [list, models]) files.onclick = ({ target }) => manage(target, ask);
   run.elements.model.onchange = () => (fillGoals(), warn());
-  $("#world-form").addEventListener("change", warn);
+  $("#world-form").addEventListener("change", () => (fillModels(), warn()));
 }
 
 /** Delete or rename a file; the first press asks. A browser dialog would block the emergency stop. */
@@ -62,10 +62,16 @@ function send(form, what) {
 
 const picked = () => [...list.querySelectorAll("input:checked")].map((box) => box.value);
 
+/** Whether a model was taught in the world of the next run, as far as known. */
+function taughtHere({ worlds = [] }) {
+  const here = worldOf(world);
+  return !here || worlds.length === 0 || worlds.includes(here);
+}
+
 /** What the header needs to know of the files in the robot's world. */
 export function known() {
   const here = worldOf(world), drives = library.recordings.filter((one) => teaches(one, here));
-  const usable = library.models.filter(({ useless, worlds = [] }) => !useless && (!here || !worlds.length || worlds.includes(here)));
+  const usable = library.models.filter((one) => !one.useless && taughtHere(one));
   const newest = Math.max(0, ...usable.map(({ when_s = 0 }) => when_s));
   return {
     drives: drives.length, models: usable.length, picked: picked().length, usable: Boolean(run.elements.model.value),
@@ -114,10 +120,8 @@ function warn() {
   const today = runsOfToday().length, more = $("#learn-today");
   more.hidden = today < 2;
   say(more, `Learn from today's ${today} runs`);
-  const { name = "", worlds = [] } = chosenModel() ?? {}, there = worldOf(world);
-  const known = !there || worlds.length === 0 || worlds.includes(there);
-  const taught = `${short(name)} was taught in ${worlds.join(" and ")}`;
-  say($("#elsewhere"), known ? "" : `${taught}, and this run is in ${there}: the model has no route there.`);
+  const model = chosenModel() ?? { name: "" }, taught = `${short(model.name)} was taught in ${model.worlds?.join(" and ")}`;
+  say($("#elsewhere"), taughtHere(model) ? "" : `${taught}, and this run is in ${worldOf(world)}: the model has no route there.`);
 }
 
 let items = new Map();
@@ -173,10 +177,10 @@ function fillModels() {
     `${short(name)}${useless ? `: ${useless}` : goals.length ? "" : " (the paper's scheme)"}`;
   const option = (one) => element("option", { value: one.name, disabled: Boolean(one.useless) }, named(one));
   select.replaceChildren(...library.models.map(option));
-  const usable = library.models.filter(({ useless }) => !useless).map(({ name }) => name);
-  // Select a newly learned model.
-  if (usable.length > 0) select.value = usable.includes(before) && usable[0] === newest ? before : usable[0];
-  newest = usable[0];
+  const usable = library.models.filter(({ useless }) => !useless), best = (usable.find(taughtHere) ?? usable[0])?.name;
+  // Select a newly learned model, and one of the world.
+  if (best) select.value = usable.some(({ name }) => name === before) && best === newest ? before : best;
+  newest = best;
   const rows = library.models.map(({ name, useless }) =>
     element("li", {}, element("span", {}, `${short(name)}${useless && `: ${useless}`}`), ...managing(name, short(name))));
   if (!models.contains(document.activeElement)) models.replaceChildren(...rows);

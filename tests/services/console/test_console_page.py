@@ -367,3 +367,17 @@ def test_next_step_is_seen_without_scrolling(
     for part in ("#next", "#stop", "#pad", ".pill", "#camera > .picture"):
         box = page.locator(part).bounding_box()
         assert 0 <= box["y"] <= size[1] - box["height"], part
+
+
+def test_page_warns_when_the_model_is_of_another_world(page: Page, board: Board) -> None:
+    tell_robot(board, world="yard", worlds="campus, yard", variation="day", variations="day")
+    models = [
+        {"name": f"models/{world}.smal", "goals": ["victim"], "worlds": [world], "useless": ""}
+        for world in ("campus", "yard")
+    ]
+    board.put("library", {"folder": "drives", "recordings": [], "models": models})
+    page.click("#steps [data-panel=run]")
+    eventually(lambda: page.input_value("#run-form [name=model]") == "models/yard.smal")
+    assert page.inner_text("#elsewhere") == ""
+    page.select_option("#run-form [name=model]", "models/campus.smal")
+    assert page.inner_text("#elsewhere").startswith("campus was taught in campus")
