@@ -1,8 +1,10 @@
 // The header: the step, one sentence, and the next actions, all derived from one state.
 
-import { CAUSES, MISSED, OUTCOMES, REASONS, jobFacts, jobText, seconds, tooSlow } from "./words.js";
+import { CAUSES, MISSED, OUTCOMES, PLANS, REASONS, jobFacts, jobText, seconds, tooSlow } from "./words.js";
 
 const SILENT_S = 2, SETTLED_S = 5, SLOW = 0.8;
+/** Plans of a robot that does not get on by itself. */
+const STUCK = ["blind", "blocked", "dead_end", "stop"];
 const RIGHT = { true: ", rightly", false: ", wrongly" };
 const GUIDE = {
   teach: "Drive to the goal once; then the robot finds the way by itself",
@@ -25,7 +27,7 @@ function trouble({ link, robot, age, ill, simulated }) {
 }
 
 /** Sentence about the running episode, as [level, text]. */
-function now({ robot, sits, taken, simulated, frames_hz }) {
+function now({ robot, sits, taken, simulated, frames_hz, plan }) {
   const hand = robot.driver === "teleop", rate = robot.tick / robot.seconds;
   if (simulated && robot.seconds > SETTLED_S && rate < SLOW * frames_hz) return ["warn", tooSlow(rate, frames_hz)];
   const stands = hand && robot.reason === "silence";
@@ -33,6 +35,7 @@ function now({ robot, sits, taken, simulated, frames_hz }) {
   if (hand && sits) return ["good", `Drive to ${robot.goal}, then press “Found”`];
   if (stands) return ["warn", taken ? "The driver holds no key" : "Take control, then hold a key to drive"];
   const correct = sits ? "; hold a key to correct it" : "";
+  if (robot.source === "policy" && STUCK.includes(plan)) return ["warn", `The robot ${PLANS[plan]}${correct}`];
   if (robot.source === "policy") return ["good", `The robot drives to ${robot.goal} by itself${correct}`];
   return ["good", robot.source ? "A person drives" : "The robot stands"];
 }

@@ -8,7 +8,7 @@ export const OUTCOMES = {
 export const DOES = {
   forward: "drives forward", backward: "drives backward", left: "turns left", right: "turns right", stop: "stands",
 };
-const PLANS = {
+export const PLANS = {
   follow: "follows the taught way", action: "does the action of its state", goal: "has reported what it found",
   dead_end: "has no route from here", look_around: "looks around", guess: "drives by its best guess",
   blind: "stands: its camera shows nothing that was taught",

@@ -81,6 +81,10 @@ STATES: dict[str, tuple[dict[str, Any], tuple[str, str, str, str]]] = {
         {"robot": DRIVE, "sits": True},
         ("teach", "good", "Drive to victim, then press “Found”", "found"),
     ),
+    "it is stuck": (
+        {"robot": RUN, "plan": "dead_end", "sits": True},
+        ("run", "warn", "The robot has no route from here; hold a key to correct it", "quit"),
+    ),
     "it drives by itself": (
         {"robot": RUN, **TAUGHT},
         ("run", "good", "The robot drives to victim by itself", "quit"),
