@@ -74,7 +74,7 @@ function between(state, step) {
   if (works && job.outcome === "failed") {
     return ["bad", `${jobText(job)}. Select other drives below, or teach again`];
   }
-  const ended = result(state), ran = ended && robot.purpose === "run" && step === "run";
+  const ended = result(state), ran = ended && robot.purpose === "run";
   const good = !ended || (["found", "not_here"].includes(robot.outcome) && robot.right !== false);
   return [good ? "good" : "warn", ran ? ended : [ended, GUIDE[step]].filter(Boolean).join(". ")];
 }

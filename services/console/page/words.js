@@ -22,7 +22,7 @@ export const CAUSES = {
   wheels: "The robot stands: its odometry contradicts the commands. Look at its wheels, then press “Resume”",
   fault: "The robot stands: its body has failed. Look at it, then press “Resume”",
 };
-export const MISSED = "The robot stands: this computer was busy for a moment. Press a drive key anew, or “Resume”";
+export const MISSED = "It stands: this computer was busy. Press a drive key, or “Resume”";
 /** Why the robot does not follow its driver, with the level of the sentence. */
 export const REASONS = {
   taken_over: ["warn", "You drive: press “Resume”, and the robot goes on by itself"],
