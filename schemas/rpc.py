@@ -171,6 +171,28 @@ class LookReply(Strict):
     picture: bytes | None = None
 
 
+#: Kinds of a ground plan's shapes, from the lowest.
+PlanKind = Literal["ground", "water", "street", "solid"]
+MOST_SHAPES: Final = 3000  # Maximum number of a ground plan's shapes.
+
+
+class PlanShape(Strict):
+    """Shape of a ground plan: a filled outline, or a line."""
+
+    kind: PlanKind
+    points: Annotated[tuple[_Point, ...], Field(max_length=1000)]
+    filled: bool
+
+
+class PlanReply(Strict):
+    """Ground plan of a simulated robot's world, in the coordinates of its poses."""
+
+    world: str
+    start: _Point
+    victim: _Point
+    shapes: Annotated[tuple[PlanShape, ...], Field(max_length=MOST_SHAPES)]
+
+
 class CancelRequest(Strict):
     """Cancel the ``reset`` that is opening its world (robot); its caller receives the reason."""
 

@@ -7,8 +7,10 @@ from pydantic import Field, TypeAdapter
 from schemas.base import Strict
 from schemas.command import Share
 from schemas.episode import Box, GoalName, Victim
-from schemas.rpc import EpisodeName, FileName, Scheme, Start, WorldName
+from schemas.rpc import MAX_TICKS, EpisodeName, FileName, Scheme, Start, WorldName
 
+#: File name without folder and suffix.
+Label = Annotated[str, Field(pattern=r"^\w[\w .-]{0,63}$")]
 # Refusal of a late message.
 LATE: Final = "request too late: the connection is slow or was interrupted; press again"
 
@@ -83,13 +85,16 @@ class Run(Begin):
     start: Start
     seed: Annotated[int, Field(ge=0, lt=2**31)]
     victim: Victim = "there"
+    obstacles: Annotated[int, Field(ge=0, le=50)] = 0
+    people: Annotated[int, Field(ge=0, le=50)] = 0
+    kidnap_tick: Annotated[int, Field(ge=1, le=MAX_TICKS)] | None = None
 
 
 class LearnRequest(Asked):
-    """Learn a model from recordings; ``name`` is the file name without suffix."""
+    """Learn a model from recordings, under a name."""
 
     do: Literal["learn"]
-    name: Annotated[str, Field(pattern=r"^\w[\w .-]{0,63}$")]
+    name: Label
     recordings: Annotated[tuple[str, ...], Field(min_length=1, max_length=1000)]
     scheme: Scheme = "filter"
 
@@ -103,13 +108,21 @@ class Add(Asked):
 
 
 class Delete(Asked):
-    """Delete a recording."""
+    """Delete a recording or a model."""
 
     do: Literal["delete"]
-    recording: str
+    file: str
 
 
-Ask = Press | End | DriveRequest | Run | LearnRequest | Add | Delete
+class Rename(Asked):
+    """Rename a recording or a model; ``name`` is the new name without suffix."""
+
+    do: Literal["rename"]
+    file: str
+    name: Label
+
+
+Ask = Press | End | DriveRequest | Run | LearnRequest | Add | Delete | Rename
 OF_WATCHERS: TypeAdapter[SeenRequest | StopRequest] = TypeAdapter(
     Annotated[SeenRequest | StopRequest, Field(discriminator="do")]
 )

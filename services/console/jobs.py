@@ -6,11 +6,12 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Final
+from typing import IO, Final, NamedTuple
 
 from schemas.codec import printable
 from services.kit.node import ServiceError
@@ -120,10 +121,16 @@ class Jobs:
         }
         output: deque[str] = deque(maxlen=_LINES)
         try:
-            self._show({**shown, "stage": "", "share": None})
+            self._show({**shown, "stage": "", "share": None, "left_s": None})
+            stage = ""
+            began_s = 0.0
             for line in work.lines():
                 if (progress := _progress(line)) is not None:
-                    self._show({**shown, **progress})
+                    if progress.stage != stage:
+                        stage = progress.stage
+                        began_s = time.monotonic()
+                    left_s = progress.left_s(time.monotonic() - began_s)
+                    self._show({**shown, **progress._asdict(), "left_s": left_s})
                 elif line:
                     output.append(printable(line).replace(job.hidden, job.called))
         except Exception:  # noqa: BLE001 - whatever it is, the next one has its turn
@@ -144,10 +151,19 @@ def _later(after_s: float, what: Callable[..., None], *arguments: object) -> thr
     return timer
 
 
-def _progress(line: str) -> dict[str, object] | None:
+class _Progress(NamedTuple):
+    stage: str
+    share: float
+
+    def left_s(self, since_s: float) -> float | None:
+        """Estimate the rest of a stage from its share; None before the first."""
+        return round(since_s * (1.0 / self.share - 1.0), 1) if 0.0 < self.share < 1.0 else None
+
+
+def _progress(line: str) -> _Progress | None:
     """Parse a progress line; None for other output."""
     try:
         progress = json.loads(line)
-        return {"stage": progress["stage"], "share": progress["done"] / max(progress["total"], 1)}
+        return _Progress(progress["stage"], progress["done"] / max(progress["total"], 1))
     except (ValueError, TypeError, KeyError):
         return None

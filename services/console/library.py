@@ -53,6 +53,7 @@ class LearnedModel:
     episodes: frozenset[str] = frozenset()  # Episodes that the model was learned from.
     fingerprint: str = ""  # Fingerprint of the model's features.
     longest: int = 0  # Frames of the longest drive.
+    world: str = ""  # World of all its drives; empty if it is unknown.
     useless: str = ""  # Reason why it is unusable; empty if usable.
 
 
@@ -130,11 +131,24 @@ class Library:
         return below(self.root, name)
 
     def delete(self, name: str) -> None:
-        """Delete a recording, or a link itself; raises ServiceError if it is not listed."""
-        if self.recording(name) is None:
-            raise ServiceError("recording not found")
+        """Delete a file, or a link itself; raises ServiceError if it is not listed."""
+        self._listed(name).unlink()
+
+    def rename(self, name: str, label: str) -> None:
+        """Rename a file in its folder; raises ServiceError if it is not listed, or for a taken name."""
+        old = self._listed(name)
+        new = old.with_name(label + old.suffix)
+        if new.exists():
+            raise ServiceError(f"{label} already exists; choose another name")
+        old.rename(new)
+
+    def _listed(self, name: str) -> Path:
+        """Return the path of a recording or model, without following a link."""
+        recorded = any(one.name == name for one in self.recordings())
+        if not recorded and all(one.name != name for one in self.models()):
+            raise ServiceError("file not found; it was deleted or renamed")
         folder, _, last = name.rpartition("/")
-        (below(self.root, folder) / last).unlink()
+        return below(self.root, folder) / last
 
     def _taught_by(self, model: LearnedModel) -> list[ListedRecording]:
         return [one for one in self.recordings() if one.episode in model.episodes]
@@ -148,8 +162,11 @@ class Library:
                 "name": one.name,
                 "goals": one.goals,
                 "useless": one.useless,
-                # Only for recordings that still exist.
-                "worlds": sorted({taught.world for taught in self._taught_by(one) if taught.world}),
+                "when_s": one.when_s,
+                # The model's own world; older models do not hold it, but their recordings do.
+                "worlds": [one.world]
+                if one.world
+                else sorted({taught.world for taught in self._taught_by(one) if taught.world}),
             }
             for one in self.models()
         ]
@@ -189,7 +206,12 @@ class Library:
             fingerprint = printable(str(meta["feature_fingerprint"]))
             longest = int(meta["longest"])
             return replace(
-                listed, goals=goals, episodes=episodes, fingerprint=fingerprint, longest=longest
+                listed,
+                goals=goals,
+                episodes=episodes,
+                fingerprint=fingerprint,
+                longest=longest,
+                world=printable(str(meta.get("world", ""))),
             )
         except (ModelError, LookupError, TypeError, ValueError, ArithmeticError, OSError) as error:
             return replace(listed, useless=printable(str(error)).removeprefix(f"{file.name}: "))

@@ -13,7 +13,7 @@ from schemas import topics
 from schemas.action import Action
 from schemas.camera import CompressedImage
 from schemas.motion import TrackedPose, TruePose
-from schemas.rpc import LookReply, Nothing, Status
+from schemas.rpc import LookReply, Nothing, PlanReply, Status
 from schemas.state import State
 from services.console.learned import Learned, learned_of
 from services.console.library import Library
@@ -43,6 +43,7 @@ _DETAILS: Final = (
     "variations",
     "speed_m_s",
     "turn_rate_rad_s",
+    "frames_hz",
     "disk",
 )
 # Interval of images between episodes, when the robot publishes no frames.
@@ -101,6 +102,7 @@ class LiveContent:
         self._followed: tuple[object, object] = (None, None)
         self._way: list[tuple[float, float]] = []
         self._way_of = ""
+        self._planned: object = None  # World of the shown ground plan.
         self._sight = ObstacleSight()
         self._seen_s = -math.inf  # Time of the last frame.
         node.subscribe(topics.JPEG, self._on_image, depth=1)
@@ -208,6 +210,17 @@ class LiveContent:
         folder = self.health.detail("recorder", "folder")
         if folder is not None:
             self._library.folder = name_below(self._library.root, Path(str(folder)))
+        self._look_at_world()
+
+    def _look_at_world(self) -> None:
+        """Show the ground plan of a simulated robot's world."""
+        world = self.health.detail("robot", "world")
+        if world == self._planned or self.health.detail("robot", "worlds") is None:
+            return
+        with suppress(RpcError):
+            plan = self.health.bus.call("robot", "plan", Nothing(), PlanReply)
+            self._board.put("ground", plan.model_dump())
+            self._planned = plan.world
 
     def _look_at_files(self) -> None:
         self._board.put(

@@ -33,6 +33,7 @@ from services.console.browser_messages import (
     End,
     LearnRequest,
     Press,
+    Rename,
     Run,
 )
 from services.console.jobs import BackgroundJob, Jobs
@@ -68,6 +69,8 @@ class ConsoleService:
         self.live = LiveContent(node, board, self.library)
         self._jobs = Jobs(lambda job: board.put("job", job))
         self._there_until_s = -math.inf
+        self._holds = False  # Whether the driver holds a key.
+        self._resuming = False  # Whether the held key has resumed a run.
         self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._wake = node.soon(self._work)
         node.subscribe(topics.ACTION, self._on_action)
@@ -129,11 +132,26 @@ class ConsoleService:
         if self._board.clock() >= sent_s + LET_GO_S:
             return
         self._operator.beat(sent_s)
-        self._operator.hold(None if held is None else Velocity(*held), sent_s + LET_GO_S)
+        pressed = held is not None and not self._holds
+        self._holds = held is not None
+        if pressed and self._resumes_by_key():
+            self._operator.resume()
+            # In a run this press resumes only; the next one corrects the robot.
+            self._resuming = self._operator.report.driver == "policy"
+        self._resuming = self._resuming and self._holds
+        velocity = None if held is None or self._resuming else Velocity(*held)
+        self._operator.hold(velocity, sent_s + LET_GO_S)
+
+    def _resumes_by_key(self) -> bool:
+        """Whether a new key press resumes: a busy computer misses its operator without any danger."""
+        report = self._operator.report
+        simulated = self.live.health.detail("robot", "attended") is False
+        return simulated and report.cause == "operator_lost" and not self._operator.asking
 
     def let_go(self) -> None:
         """Handle the loss of the driver: the robot misses them, and stops."""
         self._there_until_s = -math.inf
+        self._holds = False
         self._operator.hold(None)
 
     def leave(self) -> None:
@@ -165,8 +183,11 @@ class ConsoleService:
             case LearnRequest() | Add():
                 self._learn(ask)
             case Delete():
-                self.library.delete(ask.recording)
-                self._say(f"{ask.recording} deleted")
+                self.library.delete(ask.file)
+                self._say(f"{ask.file} deleted")
+            case Rename():
+                self.library.rename(ask.file, ask.name)
+                self._say(f"{ask.file} is called {ask.name} now")
 
     def make_world(self, name: str, osm_map: IO[bytes]) -> None:
         """Start the conversion of a map or a scan to a world."""
@@ -210,6 +231,9 @@ class ConsoleService:
             goal=goal or self.library.leads_to(model),
             max_ticks=most_ticks(model.longest),
             victim=ask.victim,
+            obstacles=ask.obstacles,
+            people=ask.people,
+            kidnap_tick=ask.kidnap_tick,
             until_said=bool(model.goals),
         )
 
@@ -226,8 +250,11 @@ class ConsoleService:
 
         def show_goal(begun: ResetReply) -> None:  # Only simulators have the victim's position.
             goal = None if begun.victim is None else [round(metres, 2) for metres in begun.victim]
-            self._board.put("goal", {"episode": begun.episode, "at": goal})
+            boxes = {"boxes": begun.things}
+            self._board.put("goal", {"episode": begun.episode, "at": goal} | boxes)
 
+        if not self._jobs.running:
+            self._board.put("job", None)  # An old failure must not stand over the next outcome.
         place = {"world": ask.world, "variation": ask.variation, "mode": "realtime"}
         self._operator.begin(
             request.model_copy(update=place), prepare, lambda: self.attended, show_goal

@@ -84,6 +84,9 @@ class Report:
     world: str | None = None
     outcome: Outcome | None = None
     right: bool | None = None  # Whether the report "not here" is right; None if unknown.
+    # Duration of the running episode, or of the last one; None if its start was not received.
+    seconds: float | None = None
+    moved: bool | None = None  # Whether it has driven ahead or back; None if unknown.
 
 
 class Operator:
@@ -113,6 +116,7 @@ class Operator:
         # The running episode, if it was begun here, and its request.
         self.mine: str | None = None
         self.request: ResetRequest | None = None
+        self._began_s = 0.0  # Start of the episode.
         self._beats = count()
         # Time of the last message of the robot, and of its episode.
         self._heard_s = self._applied_s = -math.inf
@@ -139,7 +143,11 @@ class Operator:
             return
         if applied.episode != self.report.episode:
             # It began before this process, so its details are unknown.
-            self._note(purpose=None, driver=None, goal=None, world=None, outcome=None, right=None)
+            unknown = ("purpose", "driver", "goal", "world", "outcome", "right", "seconds", "moved")
+            self._note(**dict.fromkeys(unknown))
+        if applied.linear and self.report.moved is not None:
+            self._note(moved=True)
+        self._time()
         self._note(
             **{name: getattr(applied, name) for name in _APPLIED},
             cause=applied.stop_cause,
@@ -154,8 +162,17 @@ class Operator:
         told = {name: getattr(event, name) for name in names}
         named = f"{'Run' if event.purpose == 'run' else 'Drive'} to {event.goal}"
         if event.event == "started":
-            self._note(**told, at=self._clock(), waiting=False, episode=event.episode)
+            self._began_s = self._clock()
+            self._note(
+                **told,
+                at=self._began_s,
+                waiting=False,
+                episode=event.episode,
+                seconds=0.0,
+                moved=False,
+            )
         elif event.event == "ended":
+            self._time()
             self._note(**told, at=self._clock(), episode=None)
             self._say(f"{named}: {in_words(event.outcome, event.right)} after {event.tick} frames")
             if event.episode == self.mine:
@@ -184,6 +201,10 @@ class Operator:
                 self.commands.no_episode()
                 self._note(at=now, answers=True, episode=None, cause=pulse.stop_cause)
             self._node.publish(self.commands.told(pulse.latched_stop))
+
+    def _time(self) -> None:
+        if self.report.seconds is not None:
+            self._note(seconds=round(self._clock() - self._began_s, 1))
 
     def _note(self, **news: Any) -> None:  # noqa: ANN401 - of the report's fields
         before = self.report

@@ -49,19 +49,20 @@ class RunningEpisode(Generic[V]):
             self._reached = self._task.reached(self.view, self.request.goal)
         return self._reached
 
-    def next_frame(self, *, by_hand: bool = False) -> V:
+    def next_frame(self, *, untimed: bool = False) -> V:
         """Take the next frame, and set ``outcome`` if the episode ends with it.
 
         A collision precedes the goal. A run ends as soon as its goal is reached or, with
         `until_said`, by `end`. A drive continues until its driver has arrived, or until the
-        timeout. The time stands while a person has taken over. Frame 0 ends nothing.
+        timeout. The time stands while a person has taken over, and while a stop is
+        latched (``untimed``). Frame 0 ends nothing.
         """
         self.tick += 1
-        self._timed += not by_hand
+        self._timed += not untimed
         self.view = self._body.look(self.tick)
         self._reached = None
         limit = self.request.max_ticks
-        timed_out = limit is not None and not by_hand and self._timed >= limit
+        timed_out = limit is not None and not untimed and self._timed >= limit
         if self.view.contact:
             self.outcome = "collision"
         # The check for the goal renders another image, so it runs only when it matters.

@@ -268,7 +268,8 @@ class EpisodeRunner(Generic[V]):
 
     def next_frame(self, run: Running[V]) -> Iterator[Message]:
         """Take the next frame, and end the episode if it ends with it."""
-        run.episode.next_frame(by_hand=self.gate.taken_over)
+        stands = bool(self.gate.latched_stop)
+        run.episode.next_frame(untimed=stands or self.gate.taken_over)
         run.said = 0
         yield from self._frame(run)
         outcome = run.episode.outcome

@@ -184,6 +184,7 @@ class RobotService:
             "world": self._runner.body.name,
             "speed_m_s": moves.speed_m_s,
             "turn_rate_rad_s": moves.turn_rate_rad_s,
+            "frames_hz": round(1.0 / self._runner.frame_s, 1),
             "episode": running.id if running else None,
             "tick": running.tick if running else None,
             "latched_stop": gate.latched_stop,

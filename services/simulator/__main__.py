@@ -2,6 +2,7 @@
 
 import logging
 
+from schemas.rpc import Nothing
 from services.kit.node import Node
 from services.kit.process import configure_logging, read_settings, run_service
 from services.robot.lockstep import Lockstep
@@ -9,6 +10,7 @@ from services.robot.pace import Paces
 from services.robot.service import ROBOT, serve_robot
 from services.robot.task import OperatorsTask
 from services.simulator.body import SimulatedBody
+from services.simulator.plan import plan_of
 from services.simulator.sensors.camera import FindVictim, SimulatedView
 from services.simulator.worlds import SimulatorSettings, Worlds
 
@@ -32,6 +34,7 @@ def serve() -> None:
             settings.base,
         )
         body = SimulatedBody(simulation, wanted=node.bus.has_listeners, worlds=worlds)
+        node.serve("plan", Nothing, lambda _: plan_of(body.simulation.world))
         return body, {"lockstep": lambda: Lockstep(body)}
 
     task = FindVictim() if settings.task == "victim" else OperatorsTask()

@@ -1,7 +1,7 @@
 // Predicted course and obstacles, in metres ahead and to the left, and as overlay of the level camera's image.
 
 import { color } from "./element.js";
-import { percent } from "./words.js";
+import { percent, teaching } from "./words.js";
 
 const COURSE_S = 3, TURN_S = 1, STEPS = 24, NEAREST_M = 0.1, SURE = 0.5;
 
@@ -39,7 +39,7 @@ export function drawAhead(pen, { around, belief, model, ...state }, age) {
     for (const corner of [...side(radius_m), ...side(-radius_m).reverse()]) pen.lineTo(...corner);
     pen.fill();
   }
-  if (age("belief") >= 1 || !Number.isFinite(belief?.left) || !(belief.seen >= SURE)) return;
+  if (teaching(state.robot) || age("belief") >= 1 || !Number.isFinite(belief?.left) || !(belief.seen >= SURE)) return;
   const x = width * (0.5 - belief.left), size = width / 32;
   Object.assign(pen, { fillStyle: "#fff", font: `600 ${size}px system-ui, sans-serif`, textAlign: "center" });
   const text = `▼ ${model?.goal ?? "goal"}, ${percent(belief.seen)}`;

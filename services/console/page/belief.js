@@ -1,18 +1,18 @@
 // The robot's belief over the taught frames, and the best matching taught image.
 
 import { $, cleared, color, element, say } from "./element.js";
-import { beliefFacts, planFacts } from "./words.js";
+import { beliefFacts, planFacts, teaching } from "./words.js";
 
 const BAR_PX = 4, HEIGHT = 64, LEAST = 0.01;
 const section = $("#belief"), strip = $("#belief .strip"), image = $("#belief img"), list = $("#belief dl");
 // Models without recordings have no images.
 image.onload = image.onerror = ({ type }) => image.classList.toggle("none", type === "error");
 
-export function drawBelief({ model, belief, plan }, age) {
-  const known = model && !model.trouble && model.id;
-  $("#belief .content").hidden = !known;
-  $("#belief .empty").hidden = Boolean(known);
-  if (!known) return say($("#belief .empty p"), model?.trouble ?? "No model is loaded.");
+export function drawBelief({ model, belief, plan, robot }, age) {
+  section.hidden = teaching(robot) || !(model?.trouble || (model?.id && belief));
+  if (section.hidden) return;
+  section.classList.toggle("troubled", Boolean(model.trouble));
+  if (model.trouble) return say($("#belief .facts"), model.trouble);
   const fresh = Boolean(belief) && age < 2, key = belief?.keyframe;
   section.classList.toggle("old", !fresh);
   section.classList.toggle("nowhere", fresh && key === undefined);

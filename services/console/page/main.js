@@ -6,18 +6,20 @@ import { Box } from "./box.js";
 import { Drive } from "./drive.js";
 import { $, element, say } from "./element.js";
 import { drawHealth } from "./health.js";
+import { lead } from "./lead.js";
 import { drawMap } from "./map.js";
-import { drawJob, drawLibrary, inWorld, wireTeaching } from "./teach.js";
+import { drawJob, drawLibrary, inWorld, known, really, wireTeaching } from "./teach.js";
 import { Watch } from "./watch.js";
-import { episodeFacts, illness, robotStatus, seconds } from "./words.js";
+import { LABELS, episodeFacts, illness, seconds } from "./words.js";
 import { drawWorlds, opening, showNews, wireWorlds } from "./world.js";
 
-const OLD_S = 1, NO_WORD_S = 3, MOST_LINES = 50, LATEST_MS = 6000;
+const OLD_S = 2, NO_WORD_S = 3, MOST_LINES = 50, LATEST_MS = 6000, NEW_MS = 500;
 const camera = $("#camera canvas"), noCamera = $("#camera .empty"), pad = $("#pad");
+const buttons = [...$("#actions").children], panels = [...$("#panels").children], tabs = [...$("#steps").children];
 const watch = new Watch(onNews, onPicture);
 const box = new Box(camera);
 const drive = new Drive({ onChange: drawSeat, onRefused: tell, onStop: stop });
-const since = (ms) => seconds((performance.now() - ms) / 1000);
+const told = (service) => watch.state.health?.services.find(({ name }) => name === service)?.told ?? {};
 
 // -- updates -----------------------------------------------------------------------------------------------
 
@@ -26,9 +28,9 @@ const draws = {
   robot_id: (name) => say($("#robot"), name),
   health: (health) => {
     drawHealth(health);
-    const told = (service) => health.services.find(({ name }) => name === service)?.told;
-    if (told("robot")) drawWorlds(told("robot")), inWorld(told("robot").world);
-    const disk = told("recorder")?.disk;
+    drawWorlds(told("robot"));
+    inWorld(told("robot").world ?? null);
+    const { disk } = told("recorder");
     say($("#disk"), disk ? `Recording: ${disk}` : "");
     $("#disk").hidden = !disk;
   },
@@ -37,9 +39,9 @@ const draws = {
 function onNews(channels) {
   if (channels.length > 0 || !watch.connected) document.body.classList.add("told");
   for (const channel of channels) draws[channel]?.(watch.state[channel]);
-  drawStatus();
+  drawLead();
   if (channels.some((one) => ["belief", "plan", "model"].includes(one))) drawBelief(watch.state, watch.age("belief"));
-  if (channels.some((one) => ["pose", "way", "model", "belief", "tracked", "goal"].includes(one))) {
+  if (channels.some((one) => ["pose", "way", "model", "belief", "tracked", "goal", "ground"].includes(one))) {
     drawMap(watch.state, (channel) => watch.age(channel));
   }
 }
@@ -54,38 +56,75 @@ async function onPicture(blob) {
   image.close();
 }
 
-function status() {
-  if (!watch.connected) return ["bad", `Not connected to the console for ${since(watch.sinceMs)}`];
-  if (watch.silence > NO_WORD_S) return ["bad", `The console has been silent for ${seconds(watch.silence)}`];
-  return robotStatus(watch.state, { age: watch.age("robot"), sits: drive.sits, opening: drive.sits && opening() });
+let chosen = null, details = false, led = { does: [] }, changedMs = 0;
+
+function link() {
+  if (!watch.connected) return `Not connected to the console for ${seconds((performance.now() - watch.sinceMs) / 1000)}`;
+  return watch.silence > NO_WORD_S ? `The console has been silent for ${seconds(watch.silence)}` : "";
 }
 
-let waitingSinceMs = 0;
+/** Distance from the robot to the goal at the end of its last episode; null if unknown. */
+function distance({ goal, pose }) {
+  if (!goal?.at || goal.episode !== pose?.episode) return null;
+  return Math.hypot(goal.at[0] - pose.pose[0], goal.at[1] - pose.pose[1]);
+}
 
-function drawStatus() {
-  const [how, text] = status(), pill = $("#status"), { robot } = watch.state, running = Boolean(robot?.episode);
-  pill.className = `pill ${how}`;
-  say(pill, text);
-  pill.title = text;  // full text of a truncated pill
+function drawLead() {
+  const { robot, job, taken, health } = watch.state, { worlds, frames_hz } = told("robot"), ill = illness(health);
+  const state = {
+    plan: watch.age("plan") < OLD_S ? watch.state.plan?.kind : null,
+    robot, job, taken, chosen, frames_hz, simulated: Boolean(worlds), link: link(), age: watch.age("robot"),
+    ill: ill === "robot: does not answer" ? "" : ill, sits: drive.sits, opening: drive.sits ? opening() : "",
+    distance: distance(watch.state), ...known(),
+  };
+  const before = led;
+  led = lead(state);
+  if (led.next !== before.next || led.does[0] === "withdraw") [chosen, details] = [null, details && led.next === before.next];
+  $(".pill").className = `pill ${led.level}`;
+  say($("#status"), led.text);
+  say($("#facts"), led.facts);
+  $("#camera").classList.toggle("old", led.level === "old" || Boolean(state.link));
+  if (led.does[0] !== before.does[0]) changedMs = performance.now();
+  drawActions({ learn: state.picked > 0, run: state.usable });
+  drawPanels(details ? "more" : led.step);
   $("#stop").setAttribute("aria-pressed", String(Boolean(robot?.emergency || robot?.cause === "emergency_stop")));
-  if (running && document.body.dataset.episode !== robot.episode) showNews("");
+  if (robot?.episode && document.body.dataset.episode !== robot.episode) showNews("");
   document.body.dataset.episode = robot?.episode ?? "";
   document.body.dataset.outcome = robot?.outcome ?? "";
-  for (const id of ["found", "end"]) $(`#${id}`).disabled = !running;
   say($("#episode"), episodeFacts(robot));
-  drawCameraAge(running, Boolean(robot?.waiting));
+  drawCameraAge(Boolean(robot?.episode));
 }
 
-function drawCameraAge(running, waits) {
-  const age = watch.age("camera"), opens = drive.sits && opening(), ill = illness(watch.state.health);
-  if (!waits) waitingSinceMs = performance.now();
-  $("#withdraw").hidden = !waits || !drive.sits;
-  noCamera.hidden = !waits && age !== null && (age < OLD_S || !running);
-  if (noCamera.hidden) return;
-  const what = opens ? `The robot opens ${opens}, which may take a minute` : "Waiting for the robot";
-  if (waits) say(noCamera, `${what}: ${since(waitingSinceMs)}`);
-  else if (age === null) say(noCamera, "No camera frame yet. Begin a drive or a run.");
-  else say(noCamera, `No camera frame for ${seconds(age)}${ill && `: ${ill}`}`);
+/** The next action is the large button; it rests for a moment when it changes, for a second click. */
+function drawActions(possible) {
+  const rests = performance.now() - changedMs < NEW_MS;
+  buttons.forEach((button, k) => {
+    const does = led.does[k];
+    button.hidden = !does;
+    if (!does) return;
+    if (button.dataset.does !== does) {
+      delete button.dataset.sure;
+      button.dataset.does = does;
+      button.textContent = LABELS[does];
+      button.type = does in acts ? "button" : "submit";
+      does in acts ? button.removeAttribute("form") : button.setAttribute("form", `${does}-form`);
+    }
+    button.setAttribute("aria-disabled", String((k === 0 && rests) || possible[does] === false));
+  });
+}
+
+function drawPanels(shown) {
+  for (const panel of panels) panel.classList.toggle("shown", panel.id === shown);
+  for (const tab of tabs) {
+    tab.setAttribute("aria-pressed", String(tab.dataset.panel === shown));
+    tab.dataset.panel === led.next ? tab.setAttribute("aria-current", "step") : tab.removeAttribute("aria-current");
+  }
+}
+
+function drawCameraAge(running) {
+  const age = watch.age("camera");
+  noCamera.hidden = age !== null && (age < OLD_S || !running);
+  if (!noCamera.hidden) say(noCamera, age === null ? "Waiting for the camera …" : `No camera frame for ${seconds(age)}`);
 }
 
 let lastLine = 0;
@@ -122,8 +161,7 @@ function tell(text, when = new Date()) {
 function showLatest(text) {
   clearTimeout(showLatest.timer);
   say($("#latest"), text);
-  $("#latest").hidden = false;
-  showLatest.timer = setTimeout(() => ($("#latest").hidden = true), LATEST_MS);
+  showLatest.timer = setTimeout(() => say($("#latest"), ""), LATEST_MS);
 }
 
 function stop() {
@@ -133,15 +171,38 @@ function stop() {
 
 $("#stop").onclick = stop;
 $("#seat").onclick = () => (drive.sits ? drive.leave() : drive.take());
-const asks = {
-  resume: { do: "resume" }, end: { do: "end", found: false }, withdraw: { do: "withdraw" },
+// A late press of “Resume” must not end the episode.
+const end = (button) => really(button, "Really end?") && drive.ask({ do: "end", found: false });
+// The other actions submit their forms.
+const acts = {
+  found: (button) => {
+    if (watch.state.robot?.moved === false && !really(button, "Here? You have not moved")) return;
+    drive.ask({ do: "end", found: true, box: box.drawn });
+    box.clear();
+  },
+  end, quit: end,
+  ...Object.fromEntries(["resume", "withdraw", "cancel"].map((what) => [what, () => drive.ask({ do: what })])),
 };
-for (const id in asks) $(`#${id}`).onclick = () => drive.ask(asks[id]);
-$("#found").onclick = () => (drive.ask({ do: "end", found: true, box: box.drawn }), box.clear());
-wireTeaching((what) => {
-  drive.ask(what);
-  if (["drive", "run"].includes(what.do)) $("#camera").scrollIntoView({ block: "start" });
-});
+for (const button of buttons) {
+  button.onclick = (event) => {
+    if (button.getAttribute("aria-disabled") === "true") return event.preventDefault();
+    if (button.type === "button") return acts[button.dataset.does](button);
+    [chosen, details] = [led.step, false];
+    drawPanels(led.step);  // the browser shows what is wrong in a field
+  };
+}
+for (const tab of tabs) {
+  tab.onclick = () => {
+    details = tab.dataset.panel === "more";
+    if (!details) chosen = tab.dataset.panel;
+    drawLead();
+  };
+}
+$("#enlarge").onclick = ({ target }) => {
+  target.setAttribute("aria-pressed", String($("#map").classList.toggle("large")));
+  onNews(["pose"]);
+};
+wireTeaching((what) => drive.ask(what));
 wireWorlds(async (map, name) => {
   if (!(await drive.take())) return;
   tell(`Sending ${map.name} …`);

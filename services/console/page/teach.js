@@ -1,11 +1,11 @@
 // Recordings, learning, and runs with a model.
 
 import { $, element, say } from "./element.js";
-import { percent, recordingFacts } from "./words.js";
-import { chosenVictim, chosenWorld, madeWorld, showNews, worldOf } from "./world.js";
+import { jobFacts, jobText, recordingFacts } from "./words.js";
+import { chosenWorld, madeWorld, showNews, worldOf } from "./world.js";
 
 const REALLY_MS = 3000;
-const list = $("#recordings"), learn = $("#learn-form"), run = $("#run-form"), job = $("#job");
+const list = $("#recordings"), learn = $("#learn-form"), run = $("#run-form"), job = $("#job"), models = $("#models ul");
 const chosen = new Map();
 let library = { recordings: [], models: [] }, world = null;
 
@@ -14,32 +14,70 @@ export function wireTeaching(ask) {
   const begin = (what) => ask({ ...what, ...chosenWorld() });
   send($("#drive-form"), ({ goal, name }) => begin({ do: "drive", goal: goal.trim(), name: plain(name) }));
   send(learn, ({ name, scheme }) => ask({ do: "learn", name: name.trim(), scheme, recordings: picked() }));
-  send(run, ({ goal = null, seed, ...what }) => begin({ do: "run", goal, seed: Number(seed), ...chosenVictim(), ...what }));
+  send(run, ({ goal = null, kidnap, ...what }) => {
+    for (const count of ["seed", "obstacles", "people"]) what[count] = Number(what[count]);
+    begin({ do: "run", goal, kidnap_tick: Number(kidnap) || null, ...what });
+  });
   $("#learn-today").onclick = () => ask({ do: "add", model: chosenModel().name, recordings: runsOfToday() });
-  $("#cancel").onclick = () => ask({ do: "cancel" });
-  list.onchange = ({ target }) => (chosen.set(target.value, target.checked), allowLearning());
-  list.onclick = ({ target }) => {
-    if (!target.dataset.recording) return;
-    if (target.dataset.sure) return ask({ do: "delete", recording: target.dataset.recording });
-    // A browser dialog would block the emergency stop.
-    target.dataset.sure = "yes";
-    target.textContent = "Really delete?";
-    setTimeout(() => { delete target.dataset.sure; target.textContent = "Delete"; }, REALLY_MS);
-  };
+  list.onchange = ({ target }) => target.type === "checkbox" && chosen.set(target.value, target.checked);
+  for (const files of [list, models]) files.onclick = ({ target }) => manage(target, ask);
   run.elements.model.onchange = () => (fillGoals(), warn());
-  $("#world-form").addEventListener("change", warn);
+  $("#world-form").addEventListener("change", () => (fillModels(), warn()));
+}
+
+/** Delete or rename a file; the first press asks. A browser dialog would block the emergency stop. */
+function manage(button, ask) {
+  const { file, does } = button.dataset;
+  if (!file) return;
+  const name = button.parentElement.querySelector("input[name=label]");
+  if (does === "rename") {
+    name.hidden = !name.hidden;
+    if (!name.hidden) return name.focus();
+    if (name.value && name.value !== short(file)) ask({ do: "rename", file, name: name.value });
+    return;
+  }
+  if (really(button, "Really delete?")) ask({ do: "delete", file });
+}
+
+/** Whether a button was pressed twice within some seconds; the first press shows a question. */
+export function really(button, question) {
+  if (button.dataset.sure) return true;
+  const before = button.textContent;
+  button.dataset.sure = "yes";
+  button.textContent = question;
+  setTimeout(() => {
+    delete button.dataset.sure;
+    if (button.textContent === question) button.textContent = before;
+  }, REALLY_MS);
+  return false;
 }
 
 function send(form, what) {
   form.onsubmit = (event) => {
     event.preventDefault();
     what(Object.fromEntries(new FormData(form)));
-    document.activeElement?.blur();  // return the keys to driving
+    if (form.contains(document.activeElement)) document.activeElement.blur();  // return the keys to driving
   };
 }
 
 const picked = () => [...list.querySelectorAll("input:checked")].map((box) => box.value);
-const allowLearning = () => (learn.querySelector("button").disabled = picked().length === 0);
+
+/** Whether a model was taught in the world of the next run, as far as known. */
+function taughtHere({ worlds = [] }) {
+  const here = worldOf(world);
+  return !here || worlds.length === 0 || worlds.includes(here);
+}
+
+/** What the header needs to know of the files in the robot's world. */
+export function known() {
+  const here = worldOf(world), drives = library.recordings.filter((one) => teaches(one, here));
+  const usable = library.models.filter((one) => !one.useless && taughtHere(one));
+  const newest = Math.max(0, ...usable.map(({ when_s = 0 }) => when_s));
+  return {
+    drives: drives.length, models: usable.length, picked: picked().length, usable: Boolean(run.elements.model.value),
+    untaught: drives.some(({ when_s }) => when_s > newest),
+  };
+}
 
 /** Set the robot's world; by default only its drives are selected for learning. */
 export function inWorld(now) {
@@ -64,7 +102,6 @@ export function drawLibrary(now) {
     name.value = `way-${number}`;
   }
   fillModels();
-  allowLearning();
   warn();
 }
 
@@ -83,10 +120,8 @@ function warn() {
   const today = runsOfToday().length, more = $("#learn-today");
   more.hidden = today < 2;
   say(more, `Learn from today's ${today} runs`);
-  const { name = "", worlds = [] } = chosenModel() ?? {}, there = worldOf(world);
-  const known = !there || worlds.length === 0 || worlds.includes(there);
-  const taught = `${short(name)} was taught in ${worlds.join(" and ")}`;
-  say($("#elsewhere"), known ? "" : `${taught}, and this run is in ${there}: the model has no route there.`);
+  const model = chosenModel() ?? { name: "" }, taught = `${short(model.name)} was taught in ${model.worlds?.join(" and ")}`;
+  say($("#elsewhere"), taughtHere(model) ? "" : `${taught}, and this run is in ${worldOf(world)}: the model has no route there.`);
 }
 
 let items = new Map();
@@ -106,8 +141,8 @@ function drawRecordings(recordings) {
 }
 
 /** Whether a recording is selected for learning: by choice, else if it is a complete drive in this world. */
-function teaches({ useless, name, purpose, outcome, world: where }) {
-  return !useless && (chosen.get(name) ?? (purpose === "drive" && outcome === "found" && where === world));
+function teaches({ useless, name, purpose, outcome, world: where }, here = world) {
+  return !useless && (chosen.get(name) ?? (purpose === "drive" && outcome === "found" && where === here));
 }
 
 function recordingItem(one) {
@@ -120,14 +155,19 @@ function recordingItem(one) {
     const src = `thumbnail?${new URLSearchParams({ of: one.name, k })}`;
     return element("img", { alt: "", loading: "lazy", width: 72, height: 54, src });
   });
-  const remove = element("button", { type: "button", "aria-label": `Delete ${title}, ${when}` }, "Delete");
-  remove.dataset.recording = one.name;
   const row = element("div", { className: "thumbnails" }, ...pictures);
-  return element("li", {}, element("label", {}, box, text), row, remove);
+  return element("li", {}, element("label", {}, box, text), row, ...managing(one.name, `${title}, ${when}`));
+}
+
+/** Controls that rename and delete a file. */
+function managing(file, called) {
+  const button = (does, text) => element("button", { type: "button", "data-does": does, "data-file": file, "aria-label": `${text} ${called}` }, text);
+  const name = element("input", { name: "label", value: short(file), hidden: true, maxLength: 64, "aria-label": `New name of ${called}` });
+  return [name, button("rename", "Rename"), button("delete", "Delete")];
 }
 
 /** Display name of a model, without folder and suffix. */
-const short = (name) => name.replace(/^models\//, "").replace(/\.smal$/, "");
+const short = (name) => name.replace(/^.*\//, "").replace(/\.(smal|mcap)$/, "");
 
 let newest;
 
@@ -137,11 +177,13 @@ function fillModels() {
     `${short(name)}${useless ? `: ${useless}` : goals.length ? "" : " (the paper's scheme)"}`;
   const option = (one) => element("option", { value: one.name, disabled: Boolean(one.useless) }, named(one));
   select.replaceChildren(...library.models.map(option));
-  const usable = library.models.filter(({ useless }) => !useless).map(({ name }) => name);
-  // Select a newly learned model.
-  if (usable.length > 0) select.value = usable.includes(before) && usable[0] === newest ? before : usable[0];
-  newest = usable[0];
-  run.querySelector("button").disabled = usable.length === 0;
+  const usable = library.models.filter(({ useless }) => !useless), best = (usable.find(taughtHere) ?? usable[0])?.name;
+  // Select a newly learned model, and one of the world.
+  if (best) select.value = usable.some(({ name }) => name === before) && best === newest ? before : best;
+  newest = best;
+  const rows = library.models.map(({ name, useless }) =>
+    element("li", {}, element("span", {}, `${short(name)}${useless && `: ${useless}`}`), ...managing(name, short(name))));
+  if (!models.contains(document.activeElement)) models.replaceChildren(...rows);
   fillGoals();
 }
 
@@ -154,22 +196,16 @@ function fillGoals() {
 
 let working = null;
 
-export function drawJob({ kind, name, doing, done, stage, share, outcome, why, remarks }) {
-  const tell = kind === "world" ? showNews : () => {};
-  $("#cancel").hidden = Boolean(outcome);
-  if (!outcome) {
-    if (!job.querySelector("progress")) job.replaceChildren(element("p"), element("progress", { max: 1 }));
-    const [text, bar] = job.children;
-    working = name;
-    say(text, [doing, stage].filter(Boolean).join(": "));
-    tell(`${doing} …`);
-    share === null ? bar.removeAttribute("value") : (bar.value = share);
-    bar.setAttribute("aria-label", share === null ? doing : `${stage}: ${percent(share)}`);
-    return;
-  }
-  const said = { done, cancelled: `${name} was cancelled.`, failed: `${doing} failed: ${why}` }[outcome];
-  if (working === name) tell(said);
-  if (working === name && kind === "world" && outcome === "done") madeWorld(name);
-  const hints = remarks.filter((text) => text !== why).map((text) => element("p", { className: "hint" }, text));
-  job.replaceChildren(element("p", {}, said), ...hints);
+export function drawJob(now) {
+  job.replaceChildren();
+  if (!now) return;
+  const { kind, name, outcome, why, share, remarks } = now, text = jobText(now);
+  if (!outcome) working = name;
+  if (kind === "world" && working === name) showNews(text);
+  if (kind === "world" && working === name && outcome === "done") madeWorld(name);
+  const bar = element("progress", { max: 1, "aria-label": text });
+  const facts = outcome ? "" : jobFacts(now);
+  if (!outcome && share !== null) bar.value = share;
+  const hints = (remarks ?? []).filter((remark) => remark !== why).map((remark) => element("p", { className: "hint" }, remark));
+  job.replaceChildren(element("p", {}, facts ? `${text} ${facts}` : text), ...(outcome ? hints : [bar]));
 }

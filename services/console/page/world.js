@@ -2,7 +2,7 @@
 
 import { $, element, say } from "./element.js";
 
-const card = $("#map"), form = $("#world-form"), file = form.elements.map;
+const card = $("main"), form = $("#world-form"), file = form.elements.map;
 const MOST_LETTERS = 64, MOST_BYTES = 200;
 let fresh = null;
 
@@ -13,7 +13,7 @@ export function wireWorlds(take) {
     file.value = "";
   };
   file.onchange = () => offer(file.files);
-  // A file dropped beside the card must not replace the page.
+  // A dropped file must not replace the page.
   for (const type of ["dragover", "drop"]) addEventListener(type, (event) => event.preventDefault());
   for (const type of ["dragover", "dragleave", "drop"]) {
     card.addEventListener(type, () => card.classList.toggle("over", type === "dragover" && !form.hidden));
@@ -35,9 +35,6 @@ export function chosenWorld() {
   return form.hidden ? {} : { world: other(form.elements.world), variation: other(form.elements.variation) };
 }
 
-/** Placement of the victim in the next simulated run. */
-export const chosenVictim = () => (form.hidden ? {} : { victim: form.elements.victim.value });
-
 /** World of the next drive or run, for a robot in `here`. */
 export const worldOf = (here) => (form.hidden ? here : form.elements.world.value);
 
@@ -50,6 +47,7 @@ export function madeWorld(name) {
 
 export function drawWorlds(told) {
   form.hidden = !told.worlds;
+  $(".simulated").hidden = form.hidden;
   if (form.hidden) return;
   fill(form.elements.world, told.worlds, told.world);
   fill(form.elements.variation, told.variations, told.variation);
@@ -74,9 +72,9 @@ export function opening() {
   return Object.values(chosenWorld()).some(Boolean) ? `${world.value} (${variation.value})` : "";
 }
 
-const news = card.querySelector(".empty");
+const news = $("#world-news");
 
-/** Show the progress of an import over the map; an empty text hides it. */
+/** Show the progress of an import; an empty text hides it. */
 export function showNews(text) {
   say(news, text);
   news.hidden = !text;

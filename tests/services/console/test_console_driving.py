@@ -121,6 +121,18 @@ def test_a_page_that_is_gone_stands_the_robot(
     eventually(lambda: robot.gate.stop_cause == "operator_lost")
 
 
+@unattended
+def test_new_key_press_resumes_in_simulation(driving: Page, robot: Robot) -> None:
+    robot.gate.stop("operator_lost")
+    eventually(lambda: driving.robot(cause="operator_lost"))
+    beats = driving.beats
+    eventually(lambda: driving.beats > beats + 5)
+    assert robot.gate.stop_cause == "operator_lost", "the key that is held all the time"
+    driving.let_go()
+    driving.held = "forward"
+    eventually(lambda: robot.wheels.driven)
+
+
 def test_late_answers_do_not_move_the_robot(driving: Page, robot: Robot) -> None:
     driving.late_s = 1.5 * LET_GO_S
     eventually(lambda: not robot.wheels.driven)

@@ -20,7 +20,7 @@ from services.console.learned import learned_of
 from services.console.library import Library
 from services.console.listing import ListedRecording, Reader, end_after
 from services.kit.model_service import identity_of
-from services.kit.node import Node
+from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.recorder.service import RecorderService
 from services.recordings.records import MAGIC
@@ -141,6 +141,7 @@ def test_library_lists_goals_and_worlds_of_a_model(
     corridor.save_model(tmp_path / "corridor.smal")
     library = Library(tmp_path)
     (shown,) = library.look()["models"]
+    assert shown.pop("when_s") > 0.0
     assert shown == {"name": "corridor.smal", "goals": ("victim",), "useless": "", "worlds": []}
     (model,) = library.models()
     assert (model.longest, model.fingerprint) == (corridor.FRAMES, corridor.FEATURES.fingerprint)
@@ -165,12 +166,26 @@ def test_library_deletes_only_listed_recordings(
     eventually(lambda: page.beats)
     away = ("other/drive-1.mcap", "../drives/drive-2.mcap", "drives/../other/drive-1.mcap")
     for name in (*away, str(kept), ""):
-        page.say(do="delete", recording=name)
-    page.say(do="delete", recording="drives/drive-2.mcap")
+        page.say(do="delete", file=name)
+    page.say(do="rename", file="drives/drive-2.mcap", name="dock")
+    eventually(lambda: page.state["library"]["recordings"][0]["name"] == "drives/dock.mcap")
+    page.say(do="delete", file="drives/dock.mcap")
     eventually(lambda: not page.state["library"]["recordings"])
-    assert page.news().count("recording not found") == 5
+    assert page.news().count("file not found") == 5
     assert kept.exists()
     assert not gone.exists()
+
+
+def test_library_renames_and_deletes_models(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        corridor.save_model(tmp_path / f"{name}.smal")
+    library = Library(tmp_path)
+    library.look()
+    with pytest.raises(ServiceError, match="two already exists; choose another name"):
+        library.rename("one.smal", "two")
+    library.rename("one.smal", "three")
+    library.delete("two.smal")
+    assert [one.name for one in tmp_path.glob("*.smal")] == ["three.smal"]
 
 
 def test_a_run_is_of_the_model_that_is_chosen_and_recorded(

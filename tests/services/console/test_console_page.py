@@ -24,7 +24,7 @@ from services.simulator.sensors.camera import depth_message
 from tests.services.console.conftest import Nobody
 from tests.services.waiting import eventually
 from tests.smal.depth_world import MOUNT, depth
-from tests.system.console.console_site import run_in
+from tests.system.console.console_site import act, run_in
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -69,7 +69,8 @@ def choice(page: Page, name: str) -> str:
 
 def begin(page: Page, nobody: Nobody) -> Any:
     """Begin a drive; return what was asked for."""
-    page.click("#drive-form button")
+    page.click("#steps [data-panel=teach]")
+    act(page, "Begin a drive")
     return eventually(lambda: nobody.asked.pop() if nobody.asked else None)
 
 
@@ -107,12 +108,12 @@ def test_a_model_is_learned_for_the_scheme_that_is_chosen(
 ) -> None:
     tell_robot(board, world="yard", worlds="yard", variation="day", variations="day")
     board.put("library", {"folder": "drives", "models": [], "recordings": [recording("a-s-1")]})
-    page.wait_for_selector("#recordings input")
+    page.wait_for_selector("#recordings input", state="attached")
     page.fill("#learn-form [name=name]", "way")
     if scheme == "paper":
         page.select_option("#learn-form [name=scheme]", scheme)
     page.click("#seat")
-    page.click("#learn-form button")
+    act(page, "Learn")
     ask = eventually(lambda: next((ask for ask in nobody.asked if ask.do == "learn"), None))
     assert (ask.name, ask.scheme, ask.recordings) == ("way", scheme, ("drives/a-s-1.mcap",))
 
@@ -135,15 +136,16 @@ def test_a_model_learns_more_from_the_runs_of_today(
         "library",
         {"folder": "drives", "models": models, "recordings": [runs[0], *others, *elsewhere]},
     )
-    page.wait_for_selector("#recordings input")
+    page.wait_for_selector("#recordings input", state="attached")
     assert page.is_hidden("#learn-today")
     board.put(
         "library",
         {"folder": "drives", "models": models, "recordings": [*runs, *others, *elsewhere]},
     )
+    page.click("#steps [data-panel=run]")
     page.wait_for_selector("#learn-today:visible")
     assert page.inner_text("#learn-today") == "Learn from today's 2 runs"
-    page.click("#seat")
+    page.click("#steps [data-panel=run]")
     page.click("#learn-today")
     ask = eventually(lambda: next((ask for ask in nobody.asked if ask.do == "add"), None))
     assert (ask.model, ask.recordings) == ("models/way.smal", ("drives/a.mcap", "drives/b.mcap"))
@@ -163,13 +165,11 @@ def test_driver_cancels_an_episode_that_is_being_begun(
 ) -> None:
     told = {"episode": None, "answers": True, "emergency": False, "at": 0.0}
     board.put("robot", told | {"waiting": True})
-    page.wait_for_selector("#camera .empty:has-text('Waiting for the robot')")
-    assert not page.is_visible("#withdraw"), "who watches cancels nothing"
-    page.click("#seat")
-    page.click("#withdraw")
+    page.wait_for_selector("#status:has-text('Waiting for the robot')")
+    act(page, "Cancel")
     eventually(lambda: [ask.do for ask in nobody.asked] == ["withdraw"])
     board.put("robot", told | {"waiting": False})
-    page.wait_for_selector("#withdraw", state="hidden")
+    page.wait_for_selector("#actions :text('Cancel')", state="hidden")
 
 
 def test_page_draws_course_and_obstacles_over_the_picture(
@@ -212,16 +212,20 @@ def test_box_goes_with_found_unless_the_robot_moves_on(
     page: Page, nobody: Nobody, board: Board
 ) -> None:
     def draw(*corners: tuple[float, float]) -> None:
-        """Drag over the picture, which is 4 to 3, and shown whole."""
-        at = page.locator("#camera canvas").bounding_box()
+        """Drag over the picture, which is 4 to 3, and shown whole in the middle."""
+        at = page.locator("#camera > .picture > canvas").bounding_box()
+        scale = min(at["width"] / 4, at["height"] / 3)
         for number, (x, y) in enumerate(corners):
-            page.mouse.move(at["x"] + at["width"] * x, at["y"] + at["height"] * y)
+            page.mouse.move(
+                at["x"] + at["width"] / 2 + 4 * scale * (x - 0.5),
+                at["y"] + at["height"] / 2 + 3 * scale * (y - 0.5),
+            )
             if number == 0:
                 page.mouse.down()
         page.mouse.up()
 
     def found() -> tuple[float, ...] | None:
-        page.click("#found")
+        act(page, "Found: end here")
         eventually(lambda: nobody.asked)
         return nobody.asked.pop().box
 
@@ -231,6 +235,9 @@ def test_box_goes_with_found_unless_the_robot_moves_on(
         "waiting": False,
         "emergency": False,
         "at": board.clock(),
+        "driver": "teleop",
+        "seconds": 9.0,
+        "moved": True,
     }
     board.put("robot", told)
     page.click("#seat")
@@ -271,3 +278,106 @@ def test_keys_and_sticks_are_velocities(page: Page, nobody: Nobody) -> None:
     has(1, 0)
     push(0, -1, "false")  # its battery is empty
     has()
+
+
+DRIVE = {
+    "episode": "e", "answers": True, "waiting": False, "emergency": False, "purpose": "drive",
+    "driver": "teleop", "source": "teleop", "goal": "victim", "seconds": 3.0, "tick": 30,
+}  # fmt: skip
+
+
+def test_found_asks_when_the_robot_has_not_moved(page: Page, nobody: Nobody, board: Board) -> None:
+    board.put("robot", DRIVE | {"moved": False, "at": board.clock()})
+    act(page, "Found: end here")
+    page.wait_for_selector("#next:text('Here? You have not moved')")
+    assert nobody.asked == []
+    page.click("#next")
+    eventually(lambda: [ask.do for ask in nobody.asked] == ["end"])
+
+
+def test_belief_is_hidden_while_a_person_teaches(page: Page, board: Board) -> None:
+    board.put("model", {"name": "m", "trouble": "broken"})
+    page.click("#steps [data-panel=run]")
+    page.wait_for_selector("#belief:has-text('broken')")
+    board.put("robot", DRIVE | {"at": board.clock()})
+    page.wait_for_selector("#belief", state="hidden")
+
+
+def test_dead_robot_is_grey(page: Page, board: Board) -> None:
+    board.put("robot", DRIVE | {"episode": None, "answers": False, "at": board.clock() - 12.0})
+    page.wait_for_selector(".pill.old:has-text('The robot does not answer for 1')")
+    assert page.get_attribute("#camera", "class") == "old"
+
+
+def test_run_has_the_options_that_were_chosen(page: Page, nobody: Nobody, board: Board) -> None:
+    tell_robot(board, world="yard", worlds="yard", variation="day", variations="day")
+    tell_models(board, way=["victim"])
+    page.click("#steps [data-panel=run]")
+    page.click("text=Make it harder")
+    for name, choice_ in (("victim", "moved"), ("obstacles", "2"), ("people", "5")):
+        page.select_option(f"#run-form [name={name}]", choice_)
+    page.select_option("#run-form [name=kidnap]", label="after 10 s")
+    act(page, "Run")
+    run = eventually(lambda: nobody.asked.pop() if nobody.asked else None)
+    assert (run.victim, run.obstacles, run.people, run.kidnap_tick) == ("moved", 2, 5, 100)
+
+
+def test_files_are_renamed_and_deleted(page: Page, nobody: Nobody, board: Board) -> None:
+    tell_models(board, **{"models/way.smal": ["victim"]})
+    page.click("#steps [data-panel=run]")
+    page.click("#models summary")
+    page.click("#models [data-does=rename]")
+    page.fill("#models [name=label]", "dock")
+    page.click("#models [data-does=rename]")
+    ask = eventually(lambda: nobody.asked.pop() if nobody.asked else None)
+    assert (ask.do, ask.file, ask.name) == ("rename", "models/way.smal", "dock")
+    page.click("#models [data-does=delete]")
+    assert nobody.asked == []
+    page.click("#models [data-does=delete]")
+    eventually(lambda: [ask.do for ask in nobody.asked] == ["delete"])
+
+
+SMALL = """[...document.querySelectorAll("button, select, input, summary, .file")]
+    .filter((one) => one.checkVisibility() && !one.closest(".file input, .files label"))
+    .map((one) => [one.outerHTML.slice(0, 80), one.getBoundingClientRect()])
+    .filter(([, {width, height}]) => width > 0 && (width < 44 || height < 44)).map(([html]) => html)"""
+
+
+def test_phone_keeps_pad_and_stop_in_reach(page: Page, board: Board) -> None:
+    tell_robot(board, world="yard", worlds="yard", variation="day", variations="day")
+    page.set_viewport_size({"width": 390, "height": 844})
+    for panel in ("teach", "learn", "run", "more"):
+        page.click(f"#steps [data-panel={panel}]")
+        assert run_in(page, "document.documentElement.scrollWidth") == 390
+        assert run_in(page, SMALL) == []
+        run_in(page, "scrollTo(0, document.body.scrollHeight)")
+        for part in ("#pad", "#stop"):
+            box = page.locator(part).bounding_box()
+            assert box["y"] > 0
+            assert box["y"] + box["height"] <= 844
+
+
+@pytest.mark.parametrize("size", [(1440, 900), (1024, 768), (390, 844)])
+def test_next_step_is_seen_without_scrolling(
+    page: Page, board: Board, size: tuple[int, int]
+) -> None:
+    board.put("robot", DRIVE | {"episode": None, "at": board.clock()})
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.wait_for_selector("#next:text('Begin a drive')")
+    for part in ("#next", "#stop", "#pad", ".pill", "#camera > .picture"):
+        box = page.locator(part).bounding_box()
+        assert 0 <= box["y"] <= size[1] - box["height"], part
+
+
+def test_page_warns_when_the_model_is_of_another_world(page: Page, board: Board) -> None:
+    tell_robot(board, world="yard", worlds="campus, yard", variation="day", variations="day")
+    models = [
+        {"name": f"models/{world}.smal", "goals": ["victim"], "worlds": [world], "useless": ""}
+        for world in ("campus", "yard")
+    ]
+    board.put("library", {"folder": "drives", "recordings": [], "models": models})
+    page.click("#steps [data-panel=run]")
+    eventually(lambda: page.input_value("#run-form [name=model]") == "models/yard.smal")
+    assert page.inner_text("#elsewhere") == ""
+    page.select_option("#run-form [name=model]", "models/campus.smal")
+    assert page.inner_text("#elsewhere").startswith("campus was taught in campus")

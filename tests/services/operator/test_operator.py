@@ -160,7 +160,7 @@ def test_robot_that_opens_a_world_misses_only_a_lost_operator(
         node.spin(timeout_s=4 * ABSENT_S)
         assert there(robot, node)
         if not stays:
-            time.sleep(2 * ABSENT_S)  # dead: it answers no pulse
+            time.sleep(2 * robot.gate.absent_s)  # dead: it answers no pulse
         opened.set()
 
     open_it()

@@ -8,7 +8,7 @@ import pytest
 from schemas.base import KEYS, STANDING, Source
 from schemas.command import Command, StopCause
 from services.robot.body import Kinematics
-from services.robot.gate import ABSENT_S, MAX_AGE_S, Applied, CommandGate
+from services.robot.gate import MAX_AGE_S, Applied, CommandGate
 from tests.services.robot.gating import beat, command
 
 STAND = Applied(STANDING, None, "silence")
@@ -200,8 +200,17 @@ def test_emergency_stop_is_not_hidden_by_another_stop(how: str) -> None:
 def test_heartbeat_counts_once_and_in_order(gate: CommandGate, sequence: int) -> None:
     hear(gate, "o", 1, 10.0)
     hear(gate, "o", sequence, 10.2)
-    gate.watch(10.1 + ABSENT_S)
+    gate.watch(10.1 + gate.absent_s)
     assert gate.stop_cause == "operator_lost"
+
+
+@pytest.mark.parametrize(("attended", "lost"), [(True, "operator_lost"), (False, None)])
+def test_unattended_robot_tolerates_a_busy_computer(attended: bool, lost: str | None) -> None:
+    gate = CommandGate(attended=attended)
+    hear(gate, "o", 1, 10.0)
+    gate.arm(gate.latched_stop, "o")
+    gate.watch(10.9)
+    assert gate.stop_cause == lost
 
 
 @pytest.mark.parametrize("off", [-1, 1, 7, None])

@@ -10,7 +10,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from schemas.base import SOURCES, STANDING, Atom, Source
 from schemas.command import Command, StopCause
-from services.robot.gate import ABSENT_S, LEASE_S, SILENCE_S, Applied, CommandGate
+from services.robot.gate import LEASE_S, SILENCE_S, Applied, CommandGate
 from tests.services.robot.gating import beat, command
 
 SESSIONS = st.sampled_from(["", "o", "p"])
@@ -61,7 +61,7 @@ class GateMachine(RuleBasedStateMachine):
     def wait(self, step: float) -> None:
         self.now += step
         self.gate.watch(self.now)
-        if self.operator is not None and self.now - self.answered_s > ABSENT_S:
+        if self.operator is not None and self.now - self.answered_s > self.gate.absent_s:
             self.operator = None
             self.latched("operator_lost")
 
@@ -92,7 +92,7 @@ class GateMachine(RuleBasedStateMachine):
         self.beats += not again
         number, sent_s = self.pulses[max(-1 - back, -len(self.pulses))]
         self.gate.hear(beat(session, self.beats, number, present=present), self.now)
-        if self.now - sent_s > ABSENT_S:
+        if self.now - sent_s > self.gate.absent_s:
             return  # it tells of long ago
         if self.last_beat == (session, self.beats) or self.operator not in (None, session):
             return  # it was heard before, or somebody else is there

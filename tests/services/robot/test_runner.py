@@ -293,6 +293,17 @@ def test_corrected_run_does_not_time_out() -> None:
     assert events(advance(runner, clock, 0.2)) == [("timed_out", None), ("ended", "timeout")]
 
 
+def test_run_does_not_time_out_while_it_stands_for_its_operator() -> None:
+    clock = Clock()
+    runner, _ = begin(LineBody(clock, goal=1e9), mode="realtime", max_ticks=5)
+    runner.gate.stop("operator_lost")
+    assert not events(advance(runner, clock, 3.0))
+    run = runner.running
+    runner.gate.arm(runner.gate.latched_stop, "")
+    runner.resume(ResumeRequest(episode=run.id, tick=run.tick))
+    assert events(advance(runner, clock, 1.0))[-1] == ("ended", "timeout")
+
+
 def test_unknown_mode_is_refused_in_one_line() -> None:
     runner: EpisodeRunner[LineView] = EpisodeRunner(
         LineBody(Clock()), OperatorsTask(), armed(), "r", "s"

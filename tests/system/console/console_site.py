@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from playwright.sync_api import Error
 
 from schemas import topics
 from schemas.codec import decode
@@ -118,13 +119,14 @@ def data(page: Page, name: str) -> str:
 
 def begin_a_drive(page: Page, site: Site, world: str = "yard") -> None:
     """Begin a drive in a world."""
+    show(page, "Teach")
     eventually(lambda: page.locator(f"#world-form option[value='{world}']").count() == 1)
     page.select_option("#world-form [name=world]", world)
     before = data(page, "episode")
     insist(
         page,
         site,
-        lambda: page.click("#drive-form button"),
+        lambda: act(page, "Begin a drive"),
         # Pressed twice, it has begun two, and the page follows.
         lambda: (
             data(page, "episode") not in ("", before)
@@ -132,6 +134,21 @@ def begin_a_drive(page: Page, site: Site, world: str = "yard") -> None:
             and site.poses[-1].episode == data(page, "episode")
         ),
     )
+
+
+def show(page: Page, panel: str) -> None:
+    """Show a step or the details; a running episode is ended first, since it keeps its own step."""
+    if data(page, "episode") and panel != "Details":
+        act(page, "End")
+        act(page, "Really end?")
+        eventually(lambda: data(page, "episode") == "")
+    page.click(f"#steps button:has-text('{panel}')")
+
+
+def act(page: Page, name: str) -> None:
+    """Press a button of the header, if it is there."""
+    with suppress(Error):
+        page.click(f"#actions button:has-text('{name}')", timeout=5000.0)
 
 
 def drive_ahead(page: Page, site: Site) -> None:
@@ -164,7 +181,7 @@ def arm(page: Page, site: Site) -> bool:
     """Arm the robot, as often as it takes: a busy machine loses its operator once more meanwhile."""
 
     def armed() -> bool:
-        page.click("#resume")
+        act(page, "Resume")
         with suppress(pytest.fail.Exception):
             return eventually(lambda: site.robot("stop_cause") is None, timeout_s=2.0)
         return False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +18,7 @@ from tests.benchmarks.faults.proxy import link
 from tests.services.waiting import eventually
 from tests.system.console.console_site import (
     Site,
+    act,
     arm,
     begin_a_drive,
     data,
@@ -28,6 +30,7 @@ from tests.system.console.console_site import (
     insist,
     opened,
     run_in,
+    show,
     told,
     was_lost,
 )
@@ -42,27 +45,31 @@ Lost = Callable[[float], float]
 def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
     """By clicks and keys alone."""
     begin_a_drive(page, site, "near")
+    page.click("#enlarge")
     eventually(lambda: page.is_visible("#map .victim"))
+    page.click("#enlarge")
     drive_to_the_victim(page, site, "near")
-    page.click("#found")
+    act(page, "Found: end here")
     eventually(lambda: data(page, "outcome") == "found")
     eventually(lambda: page.locator("#recordings input:checked").count() == 1)
-    page.click("#learn-form button:not([type])")
+    act(page, "Learn")
     eventually(lambda: "way-1 is learned" in page.inner_text("#job"), timeout_s=240.0)
     eventually(lambda: page.locator("#run-form select[name=model] option").count() == 1)
     insist(
         page,
         site,
-        lambda: page.click("#run-form button"),
+        lambda: act(page, "Run"),
         lambda: data(page, "episode").startswith("run"),
     )
     eventually(lambda: page.locator("#belief img").get_attribute("src"))
     eventually(lambda: not was_lost(page, site) and data(page, "episode") == "", timeout_s=120.0)
     assert data(page, "outcome") == "found"
+    assert re.fullmatch(r"Found: \d\.\d m, [\d.]+ (s|min)", told(page))
     assert run_in(page, "document.querySelector('#belief img').naturalWidth") == 160
 
 
 def test_map_becomes_a_world_when_it_is_dropped(page: Page, site: Site) -> None:
+    show(page, "Teach")
     drop(page, WORLDS_FOLDER / "yard.osm", "My town!.osm")
     world = page.locator("#world-form [name=world]")
     eventually(lambda: world.input_value() == "My town-", timeout_s=120.0)
@@ -72,14 +79,15 @@ def test_map_becomes_a_world_when_it_is_dropped(page: Page, site: Site) -> None:
     insist(
         page,
         site,
-        lambda: page.click("#drive-form button"),
+        lambda: act(page, "Begin a drive"),
         lambda: (
             data(page, "episode").startswith("by-night-")
-            and "in My town-" in page.inner_text("#episode")
+            and "in My town-" in page.text_content("#episode")
         ),
     )
     assert site.robot("variation") == "dark"
-    page.click("#end")
+    act(page, "End without finding")
+    act(page, "Really end?")
     eventually(lambda: data(page, "episode") == "")
 
 
@@ -203,8 +211,8 @@ def test_page_warns_when_a_stop_may_be_late(page: Page, site: Site) -> None:
         eventually(
             lambda: (
                 "The console does not answer: the emergency stop may be late."
-                in page.inner_text("#news")
+                in page.text_content("#news")
             )
         )
-    eventually(lambda: "EMERGENCY STOP" in told(page))
+    eventually(lambda: "Emergency stop" in told(page))
     arm(page, site)

@@ -1,0 +1,103 @@
+// The header: the step, one sentence, and the next actions, all derived from one state.
+
+import { CAUSES, MISSED, OUTCOMES, PLANS, REASONS, jobFacts, jobText, seconds, tooSlow } from "./words.js";
+
+const SILENT_S = 2, SETTLED_S = 5, SLOW = 0.8;
+/** Plans of a robot that does not get on by itself. */
+const STUCK = ["blind", "blocked", "dead_end", "stop"];
+const RIGHT = { true: ", rightly", false: ", wrongly" };
+const GUIDE = {
+  teach: "Drive to the goal once; then the robot finds the way by itself",
+  learn: "Now let the robot learn the way",
+  run: "Now let the robot find the way by itself",
+};
+
+/** Trouble of the link or the robot, as [level, text]; it precedes everything else. */
+function trouble({ link, robot, age, ill, simulated }) {
+  if (link) return ["bad", link];
+  if (robot?.waiting) return null;
+  const silent = age === null ? "" : ` for ${seconds(age)}`;
+  if (!robot?.answers) return ["old", `The robot does not answer${silent}${ill ? `: ${ill}` : ""}`];
+  if (robot.emergency) return ["bad", CAUSES.emergency_stop];
+  if (robot.episode && age > SILENT_S) return ["old", `No sign of the robot${silent}`];
+  if (simulated && robot.cause === "operator_lost") return robot.episode ? ["warn", MISSED] : null;
+  // A drive or a run arms the robot, so between episodes these stops are no trouble.
+  const releases = !robot.episode && ["not_armed", "operator_lost"].includes(robot.cause);
+  return robot.cause && !releases ? ["bad", CAUSES[robot.cause]] : null;
+}
+
+/** Sentence about the running episode, as [level, text]. */
+function now({ robot, sits, taken, simulated, frames_hz, plan }) {
+  const hand = robot.driver === "teleop", rate = robot.tick / robot.seconds;
+  if (simulated && robot.seconds > SETTLED_S && rate < SLOW * frames_hz) return ["warn", tooSlow(rate, frames_hz)];
+  const stands = hand && robot.reason === "silence";
+  if (REASONS[robot.reason] && !stands) return REASONS[robot.reason];
+  if (hand && sits) return ["good", `Drive to ${robot.goal}, then press “Found”`];
+  if (stands) return ["warn", taken ? "The driver holds no key" : "Take control, then hold a key to drive"];
+  const correct = sits ? "; hold a key to correct it" : "";
+  if (robot.source === "policy" && STUCK.includes(plan)) return ["warn", `The robot ${PLANS[plan]}${correct}`];
+  if (robot.source === "policy") return ["good", `The robot drives to ${robot.goal} by itself${correct}`];
+  return ["good", robot.source ? "A person drives" : "The robot stands"];
+}
+
+/** Result of the last episode in one sentence; empty without one. */
+function result({ robot, distance }) {
+  if (!robot?.outcome) return "";
+  const taught = robot.purpose === "drive" && robot.outcome === "found";
+  const what = taught ? "you reached the goal" : OUTCOMES[robot.outcome] + (RIGHT[robot.right] ?? "");
+  const metres = distance === null ? [] : [`${distance.toFixed(1)} m`];
+  const numbers = [...metres, ...(robot.seconds === null ? [] : [seconds(robot.seconds)])].join(", ");
+  return what[0].toUpperCase() + what.slice(1) + (numbers && `: ${numbers}`);
+}
+
+/** Actions during an episode, the next one first. */
+function during({ driver, source, reason, cause, emergency }) {
+  const byHand = driver === "teleop" || reason === "taken_over" || source === "teleop";
+  const ends = byHand ? ["found", "end"] : ["quit", "found"];
+  return cause || emergency || reason === "taken_over" ? ["resume", ...ends] : ends;
+}
+
+/** Next step: what runs now, else what the newest drive and model still need. */
+function nextStep({ robot, job, drives, untaught, models }) {
+  if (robot?.episode || robot?.waiting) return robot.purpose === "run" ? "run" : "teach";
+  const learns = job?.kind === "model" && !job.outcome;
+  const drove = robot?.purpose === "drive" && robot.outcome === "found" && !models;
+  if (learns || untaught || drove) return "learn";
+  if (models) return "run";
+  return drives ? "learn" : "teach";
+}
+
+/** Sentence between episodes, as [level, text, facts]. */
+function between(state, step) {
+  const { robot, job } = state, works = job?.kind === "model";
+  if (works && !job.outcome) return ["good", jobText(job), jobFacts(job)];
+  if (works && job.outcome === "failed") {
+    return ["bad", `${jobText(job)}. Select other drives below, or teach again`];
+  }
+  const ended = result(state), ran = ended && robot.purpose === "run";
+  const good = !ended || (["found", "not_here"].includes(robot.outcome) && robot.right !== false);
+  return [good ? "good" : "warn", ran ? ended : [ended, GUIDE[step]].filter(Boolean).join(". ")];
+}
+
+/**
+ * Derive the header from the whole state: the next step, the shown step (`chosen`, if any), one
+ * sentence with its level, its running numbers, and the actions, the next one first.
+ */
+export function lead(state) {
+  const { robot, job, chosen } = state, next = nextStep(state), wrong = trouble(state);
+  const busy = Boolean(robot?.episode || robot?.waiting), step = busy ? next : chosen ?? next;
+  const learns = job?.kind === "model" && !job.outcome && step === "learn";
+  const begin = learns ? "cancel" : { teach: "drive", learn: "learn", run: "run" }[step];
+  const time = robot?.episode && robot.seconds !== null ? seconds(robot.seconds) : "";
+  if (robot?.waiting) {
+    const [level, text] = wrong ?? ["warn", `${state.opening ? `The robot opens ${state.opening}` : "Waiting for the robot"} …`];
+    return { next, step, level, text, facts: "", does: ["withdraw"] };
+  }
+  if (robot?.episode) {
+    const [level, text] = wrong ?? now(state);
+    return { next, step, level, text, facts: time, does: during(robot) };
+  }
+  const [level, text, facts = ""] = wrong ?? between(state, step);
+  const stopped = robot?.emergency || ["emergency_stop", "wheels", "fault"].includes(robot?.cause);
+  return { next, step, level, text, facts, does: stopped ? ["resume"] : [begin] };
+}

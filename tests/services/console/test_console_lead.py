@@ -1,0 +1,118 @@
+"""The header of the page: one sentence and one next action, derived from one state."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from services.console.config import ConsoleSettings
+from services.console.newest_content import Board
+from services.console.server import WebServer
+from tests.services.console.conftest import Nobody
+from tests.system.console.console_site import run_in
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+pytestmark = pytest.mark.system
+
+IDLE = {"answers": True, "waiting": False, "emergency": False, "episode": None, "cause": None,
+        "outcome": None, "right": None, "purpose": None, "seconds": None}  # fmt: skip
+DRIVE = IDLE | {
+    "episode": "e", "purpose": "drive", "driver": "teleop", "source": "teleop", "goal": "victim",
+    "reason": "command", "tick": 300, "seconds": 30.0,
+}  # fmt: skip
+RUN = DRIVE | {"purpose": "run", "driver": "policy", "source": "policy"}
+FOUND = RUN | {"episode": None, "outcome": "found", "seconds": 41.0}
+LEARNS = {"kind": "model", "name": "w", "doing": "Learning w", "stage": "matching", "share": 0.4,
+          "left_s": 20.0}  # fmt: skip
+FAILED = LEARNS | {"outcome": "failed", "why": "no goal in view"}
+TAUGHT = {"drives": 1, "untaught": True}
+LEARNED = {"drives": 1, "models": 1}
+SLOW = "This computer is too slow for real time (4 of 10 frames a second)"
+STATES: dict[str, tuple[dict[str, Any], tuple[str, str, str, str]]] = {
+    "nothing is taught": (
+        {"robot": IDLE | {"cause": "not_armed"}},
+        ("teach", "good", "Drive to the goal once; then the robot finds the way by itself", "drive"),
+    ),
+    "a drive is taught": (
+        {"robot": FOUND | {"purpose": "drive"}, **TAUGHT},
+        ("learn", "good", "You reached the goal: 41 s. Now let the robot learn the way", "learn"),
+    ),
+    "it learns": ({"robot": IDLE, "job": LEARNS}, ("learn", "good", "Learning w …", "cancel")),
+    "learning fails": (
+        {"robot": IDLE, "job": FAILED, **TAUGHT},
+        (
+            "learn",
+            "bad",
+            "Learning w failed: no goal in view. Select other drives below, or teach again",
+            "learn",
+        ),
+    ),
+    "it is learned": (
+        {"robot": IDLE, **LEARNED},
+        ("run", "good", "Now let the robot find the way by itself", "run"),
+    ),
+    "it has found": (
+        {"robot": FOUND, "distance": 0.41, **LEARNED},
+        ("run", "good", "Found: 0.4 m, 41 s", "run"),
+    ),
+    "the operator is lost after the end": (
+        {"robot": FOUND | {"outcome": "not_here", "right": True, "cause": "operator_lost"}, **LEARNED},
+        ("run", "good", "It reported “not here”, rightly: 41 s", "run"),
+    ),
+    "the robot is dead": (
+        {"robot": FOUND | {"answers": False}, "age": 12.0, **LEARNED},
+        ("run", "old", "The robot does not answer for 12 s", "run"),
+    ),
+    "the computer is slow": (
+        {"robot": RUN | {"tick": 120}, **LEARNED},
+        ("run", "warn", SLOW, "quit"),
+    ),
+    "a stop is latched": (
+        {"robot": RUN | {"cause": "emergency_stop"}},
+        ("run", "bad", "Emergency stop: the robot stands until you press “Resume”", "resume"),
+    ),
+    "a person teaches": (
+        {"robot": DRIVE, "sits": True},
+        ("teach", "good", "Drive to victim, then press “Found”", "found"),
+    ),
+    "it is stuck": (
+        {"robot": RUN, "plan": "dead_end", "sits": True},
+        ("run", "warn", "The robot has no route from here; hold a key to correct it", "quit"),
+    ),
+    "it drives by itself": (
+        {"robot": RUN, **TAUGHT},
+        ("run", "good", "The robot drives to victim by itself", "quit"),
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def page(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """Open the page."""
+    root = tmp_path_factory.mktemp("root")
+    settings = ConsoleSettings(root=root, console="127.0.0.1:0")
+    server = WebServer(Nobody(Path(root)), Board(), settings)
+    page = browser.new_page()
+    page.goto(server.address)
+    yield page
+    page.close()
+    server.close()
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_header_leads_when(page: Page, name: str) -> None:
+    state, wanted = STATES[name]
+    common = {
+        "robot": None, "job": None, "chosen": None, "link": "", "age": 0.1, "ill": "", "simulated": True,
+        "frames_hz": 10, "sits": False, "taken": False, "distance": None, "drives": 0, "models": 0,
+        "untaught": False,
+    }  # fmt: skip
+    asked = json.dumps(common | state)
+    led = run_in(page, f"import('./lead.js').then(({{lead}}) => lead({asked}))")
+    assert (led["step"], led["level"], led["text"], led["does"][0]) == wanted
