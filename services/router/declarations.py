@@ -13,7 +13,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable
-from typing import Final
+from typing import Final, NamedTuple
 
 #: Zenoh writes the beginning of an entry. A key can contain line breaks: the sender controls the
 #: rest.
@@ -25,8 +25,9 @@ _DECLARATION: Final = re.compile(
 _OWN_LOG: Final = re.compile(
     rb" zenoh::net::(?:primitives::demux|routing::dispatcher::(?:face|resource)): "
 )
-#: Declarations that a session may make at once: 200 for its process, and 100 for each robot that it
-#: serves. The largest session of a stack with one robot makes 100.
+#: Declarations that a session may make at once, and different keys that it may ever declare: 200
+#: for its process, and 100 for each robot that it serves. The largest session of a stack with one
+#: robot makes 100.
 BURST: Final = 200
 BURST_A_ROBOT: Final = 100
 # Declarations a second afterwards: running sessions declare occasionally.
@@ -40,28 +41,34 @@ GROUP_BURST_A_ROBOT: Final = 2
 GROUP_RATE_HZ: Final = 1.0
 # Sessions that are counted at a time, including ended sessions.
 MOST_SESSIONS: Final = 10_000
-# End of an entry that withdraws a declaration by its number.
-_TAKEN_BACK: Final = b"expr.mapped=None"
+# Part of an entry before the key. A query of tokens, too, is logged like a declaration.
+_KEY: Final = b"::face: expr="
 _ENTRY_BYTES: Final = 1 << 20  # Larger than any entry of the log.
 
 
 class TokenBucket:
-    """Token bucket: ``burst`` declarations at once, then ``rate_hz``; at most ``burst`` active."""
+    """Token bucket: ``burst`` declarations at once, then ``rate_hz``."""
 
     def __init__(self, burst: int, rate_hz: float, now_s: float) -> None:
         self._burst = burst
         self._rate_hz = rate_hz
         self._left = float(burst)
-        self._standing = 0
         self._at_s = now_s
 
-    def take(self, now_s: float, standing: int) -> bool:
-        """Count a declaration and its change of the active number; return whether it is allowed."""
-        self._standing = max(0, self._standing + standing)
+    def take(self, now_s: float) -> bool:
+        """Count a declaration; return whether it is allowed."""
         regained = self._rate_hz * (now_s - self._at_s)
         self._at_s = now_s
         self._left = min(self._burst, self._left + regained) - 1.0
-        return self._left >= 0.0 and self._standing <= self._burst
+        return self._left >= 0.0
+
+
+class _Allowance(NamedTuple):
+    """Allowance of one session, and hashes of the keys that it has declared."""
+
+    all_keys: TokenBucket
+    group_keys: TokenBucket
+    keys: set[int]
 
 
 class Declarations:
@@ -83,8 +90,7 @@ class Declarations:
         self._group_burst = GROUP_BURST + GROUP_BURST_A_ROBOT * robots
         self._linked = linked
         self._disconnect = disconnect
-        # Allowance for all declarations, and for group keys.
-        self._allowances: dict[bytes, tuple[TokenBucket, TokenBucket]] = {}
+        self._allowances: dict[bytes, _Allowance] = {}
 
     def count(self, line: bytes, now_s: float) -> None:
         """Count a line of Zenoh's log if it is about a declaration."""
@@ -97,22 +103,19 @@ class Declarations:
         if face not in self._allowances:
             if len(self._allowances) >= MOST_SESSIONS:
                 del self._allowances[next(iter(self._allowances))]
-            all_keys = TokenBucket(self._burst, RATE_HZ, now_s)
-            self._allowances[face] = all_keys, TokenBucket(self._group_burst, GROUP_RATE_HZ, now_s)
-        all_keys, group_keys = self._allowances[face]
-        within = all_keys.take(now_s, _standing(line))
+            self._allowances[face] = _Allowance(
+                TokenBucket(self._burst, RATE_HZ, now_s),
+                TokenBucket(self._group_burst, GROUP_RATE_HZ, now_s),
+                set(),
+            )
+        all_keys, group_keys, keys = self._allowances[face]
+        keys.add(hash(line.partition(_KEY)[2]))
+        within = all_keys.take(now_s) and len(keys) <= self._burst
         if group is not None:
-            within &= group_keys.take(now_s, 0)
+            within &= group_keys.take(now_s)
         if not within:
             del self._allowances[face]
             self._disconnect(session.decode())
-
-
-def _standing(line: bytes) -> int:
-    """Return the change of the number of active declarations; a new key alone changes nothing."""
-    if b"::face: expr=" not in line:
-        return 0
-    return -1 if line.rstrip().endswith(_TAKEN_BACK) else 1
 
 
 def count_log(log: socket.socket, declarations: Declarations) -> None:

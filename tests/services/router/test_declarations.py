@@ -60,8 +60,15 @@ def test_declarations_are_bounded_when_they_are_taken_back() -> None:
     assert counted(*[(line, 0.0) for line in pair * MOST]) == ["6715b33e"]
 
 
-def test_declarations_that_stand_are_bounded_however_slow() -> None:
-    assert counted(*[(entry(), float(n)) for n in range(MOST + 1)]) == ["6715b33e"]
+def test_keys_of_a_session_are_bounded_however_slow() -> None:
+    keys = [(entry(key=b"x/%d" % n), float(n)) for n in range(MOST + 1)]
+    assert counted(*keys[:-1]) == []
+    assert counted(*keys) == ["6715b33e"]
+
+
+def test_a_session_may_ask_for_the_same_tokens_for_ever() -> None:
+    query = entry(key=b"smal/rescuebot/@group/tracker/**")
+    assert counted(*[(query, n / 5.0) for n in range(10 * MOST)]) == []
 
 
 def register(key: bytes) -> bytes:
