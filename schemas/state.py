@@ -78,7 +78,9 @@ class State(Message):
     (filter only).
     """
     moved_m: Annotated[float | None, Field(ge=-1e9, le=1e9)] = None
-    """Way ahead since the frame before, metres, by odometry; None without odometry (filter only)."""
+    """Way ahead since the frame before, by odometry, metres; None unless the robot executed
+    motions ahead.
+    """
     seen: Annotated[float | None, Field(ge=0, le=1)] = None
     """Probability that the target is in view; None if there is no target detector (filter only)."""
     near: Annotated[float, Field(ge=0, le=1e3)] = 0.0

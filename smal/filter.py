@@ -65,7 +65,8 @@ class Belief:
     support: float = math.inf
     #: Estimated angle by which the camera points further down than when it was taught.
     pitch_deg: float = 0.0
-    #: Way ahead since the frame before, by odometry, in the map's unit; None without odometry.
+    #: Way ahead since the frame before, by odometry, in the map's unit, if the robot executed
+    #: motions ahead; otherwise None.
     moved: float | None = None
 
     @property

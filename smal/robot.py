@@ -277,7 +277,7 @@ class Localizer:
         elif atoms:
             movement = self._usual_movement(atoms, elapsed_s)
         belief = self._filter.observe(raw_features, movement, noise)
-        if noise is BY_ODOMETRY:
+        if noise is BY_ODOMETRY and _drives_ahead(atoms):
             belief = replace(belief, moved=movement.ahead)
         self._movement = movement
         self._since_near += abs(movement.ahead)
@@ -299,6 +299,17 @@ class Localizer:
         ]
         ahead, turn = np.mean(movements, axis=0) * ticks
         return Movement(float(ahead), float(turn))
+
+
+def _drives_ahead(executed: Sequence[Atom | Motion]) -> bool:
+    """Return whether all executed motions drive ahead, at half of the speed or more.
+
+    A robot that was stopped, or slowed down before an obstacle, has touched nothing.
+    """
+    ahead = (
+        atom[0] >= 0.5 if isinstance(atom, tuple) else atom == Atom.FORWARD for atom in executed
+    )
+    return bool(executed) and all(ahead)
 
 
 def surroundings(

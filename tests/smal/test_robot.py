@@ -11,6 +11,7 @@ import pytest
 
 from smal import Atom, Model, Robot
 from smal.features import extract
+from smal.features.percept import perceive
 from smal.files.container import ModelError
 from smal.movement import Motion
 from smal.paper.robot import PaperRobot
@@ -30,6 +31,8 @@ from tests.corridor import (
     pose,
     view,
 )
+from tests.smal.synthetic_world import drive as room_drive
+from tests.smal.test_camera_change import ROOM, USUAL, usual_map
 
 
 def _drive(
@@ -129,3 +132,25 @@ def test_following_features_needs_no_opencv(tmp_path: Path) -> None:
     belief = Localizer(model()).observe(np.load(tmp_path / "seen.npy"), (0.0, 0.0, 0.0))
     expected = Planner(model().mapped).decide(belief.summary()).motion
     assert done.stdout == f"{expected}\n", done.stderr
+
+
+@pytest.mark.parametrize(
+    ("executed", "moved"),
+    [
+        ([(1.0, 0.2)], True),
+        ([Atom.FORWARD], True),
+        ([(1.0, 0.0), (0.0, 0.0)], False),
+        ([(0.1, 0.0)], False),
+        ([], False),
+    ],
+)
+def test_way_is_compared_only_when_the_robot_drives_ahead(
+    executed: list[Atom | Motion], moved: bool
+) -> None:
+    mapped, centering = usual_map()
+    localizer = Localizer(Model(centering, mapped))
+    poses = room_drive().poses
+    localizer.locate(perceive(ROOM.look(poses[0]), USUAL), poses[0].tolist())
+    there = perceive(ROOM.look(poses[1]), USUAL)
+    belief = localizer.locate(there, poses[1].tolist(), executed).belief
+    assert (belief.moved is not None) == moved
