@@ -16,7 +16,8 @@ def heading_of(quaternion: Any) -> float:  # noqa: ANN401 - without types
     """Return the heading of an orientation, radians counter-clockwise; 0 for a zero quaternion."""
     q = quaternion
     sin = 2.0 * (q.w * q.z + q.x * q.y)
-    cos = q.w**2 + q.x**2 - q.y**2 - q.z**2
+    # Powers of huge numbers raise an error; products are infinite.
+    cos = q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z
     return math.atan2(sin, cos)
 
 

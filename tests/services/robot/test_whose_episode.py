@@ -177,7 +177,7 @@ def test_lost_operator_stops_the_robot_in_every_mode() -> None:
         clock = Clock()
         runner, _ = begin(LineBody(clock), mode=mode)
         beat(runner, "o", operator=True)
-        clock.now_s += 0.3
+        clock.now_s += 0.05 + runner.gate.absent_s
         list(runner.poll())
         assert runner.gate.stop_cause == "operator_lost"
 
