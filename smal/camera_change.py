@@ -113,7 +113,7 @@ class CameraPitch:
 
     def compare(
         self, picture: Uint8s | None, keyframe: int, certainty: float, lengths: float
-    ) -> bool:
+    ) -> None:
         """Take the picture of a frame into account, as far as the time of a frame allows.
 
         Without the network of the features the pitch is not estimated.
@@ -128,19 +128,12 @@ class CameraPitch:
             Probability of being near it.
         lengths : float
             Way since the frame before, in correlation lengths.
-
-        Returns
-        -------
-        bool
-            Whether percepts are levelled by another pitch from now on.
         """
-        before = self._held
         self._lengths += lengths
         if self._comparing is None:
             self._comparing = self._begun(picture, keyframe, certainty)
         if self._comparing is not None:
             self._go_on(self._comparing)
-        return self._held != before
 
     def _begun(self, picture: Uint8s | None, keyframe: int, certainty: float) -> _Comparison | None:
         """Begin a comparison if the view is new and the place is certain."""

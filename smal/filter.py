@@ -172,7 +172,8 @@ class SeenDirections:
     """How new a view is for certain, 0 to 1: by the odometry alone.
 
     A fast turn hides what else has changed in a view. But the way is new, and from one spot the
-    directions in which the robot has not looked yet.
+    directions in which the robot has not looked yet. Without odometry every view counts as new:
+    the executed motions do not show how far the robot has turned.
     """
 
     def __init__(self, visual_map: VisualMap) -> None:
@@ -188,7 +189,7 @@ class SeenDirections:
 
     def new(self) -> float:
         """Return how new the next view is; the first is entirely new."""
-        if self._pose is None:
+        if self._pose is None or not self._map.odometry:
             self._pose = np.zeros(3)
             return 1.0
         ahead, left, heading = self._pose

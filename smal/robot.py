@@ -165,10 +165,12 @@ class Localizer:
         certainty = (1.0 - belief.lost) * float(belief.weights @ (near[belief.keyframes] & facing))
         picture = picture if belief.camera == "sees" else None
         lengths = abs(self._movement.ahead) / self._map.correlation_length
+        before = self._pitch.pitch_deg
         if belief.is_lost:
             # A pitch that was estimated at a wrong place hides the right one.
             self._pitch.reset()
-        if self._pitch.compare(picture, best, certainty, lengths):
+        self._pitch.compare(picture, best, certainty, lengths)
+        if self._pitch.pitch_deg != before:
             self._filter.forget_view()
 
     def seen(

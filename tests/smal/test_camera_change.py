@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from smal.camera_change import CameraPitch
 from smal.features import Centering, FeatureSettings
-from smal.features.percept import perceive
-from smal.filter import Belief
+from smal.features.percept import Percept, perceive
+from smal.filter import Belief, Filter
 from smal.map import VisualMap
 from smal.model import Model
 from smal.robot import Localizer
@@ -79,9 +79,8 @@ def test_pitch_is_compared_only_when_the_robot_drives_along(
     localizer = Localizer(Model(centering, mapped))
     compared = list[tuple[float, float]]()
 
-    def compare(_: object, __: Image, ___: int, certainty: float, lengths: float) -> bool:
+    def compare(_: object, __: Image, ___: int, certainty: float, lengths: float) -> None:
         compared.append((certainty, lengths))
-        return False
 
     monkeypatch.setattr(CameraPitch, "compare", compare)
     for pose in drive().poses[:20]:
@@ -96,6 +95,24 @@ def test_pitch_is_compared_only_when_the_robot_drives_along(
     certainty, lengths = np.array(compared).T
     assert certainty[-1] < 0.1
     assert lengths.sum() == pytest.approx(0.0, abs=1e-6)
+
+
+def test_view_is_forgotten_when_a_lost_robot_drops_its_pitch(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    mapped, centering = usual_map()
+    localizer = Localizer(Model(centering, mapped))
+    belief = replace(followed(), pitch_deg=5.0, lost=1.0)
+    pose = drive().poses[-1]
+    blank = Percept(np.zeros(mapped.basis.shape[0]), None, ())
+    forgotten = list[bool]()
+    localizer.reset(belief, pose.tolist())
+    monkeypatch.setattr(Filter, "forget_view", lambda _: forgotten.append(True))
+    after = localizer.locate(blank, pose.tolist())
+    assert after.belief.is_lost
+    assert forgotten == [True]
+    localizer.locate(blank, pose.tolist())
+    assert forgotten == [True]
 
 
 def test_pitch_lasts_when_another_localizer_takes_over(

@@ -143,6 +143,13 @@ def test_only_unseen_directions_are_new_when_the_robot_turns() -> None:
     assert directions.new() > 0.3
 
 
+def test_every_view_is_new_when_there_is_no_odometry() -> None:
+    directions = SeenDirections(replace(usual_map()[0], odometry=False))
+    for _ in range(3):
+        assert directions.new() == 1.0
+        directions.move(np.zeros(3))
+
+
 @pytest.mark.parametrize("frames_before", [1, 20])
 def test_a_robot_that_stands_still_does_not_become_surer(frames_before: int) -> None:
     visual_map = usual_map()[0]
