@@ -6,7 +6,6 @@ level at height 0.
 """
 
 import json
-import math
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from functools import cached_property
@@ -34,7 +33,7 @@ from services.simulator.world.place import (
     polygons,
 )
 from services.simulator.world.room import SCALE as ROOM_SCALE
-from services.simulator.world.terrain import Many, Plan, Spot, plan
+from services.simulator.world.terrain import Many, Plan, Spot, plan, task_content
 
 FORMAT: Final = "smal.scan/1"
 SUFFIXES: Final = (".glb", ".gltf", ".obj", ".ply")
@@ -168,17 +167,12 @@ def scan_text(world: World, source: str) -> str:
     place = world.place
     if not isinstance(place, ScannedPlace):
         raise TypeError(f"unsupported place for {FORMAT}: {type(place).__name__}")
-    start, victim = (
-        {"x": spot.x, "y": spot.y, "heading_deg": math.degrees(spot.heading)}
-        for spot in (world.start, world.victim)
-    )
     content = {
         "format": FORMAT,
         "source": source[:255],
         "robot_name": place.robot_name,
         "sky": place.sky,
-        "start": start,
-        "victim": victim,
+        **task_content(world),
         "floor": asdict(place.floor),
         "walls": [asdict(one) for one in place.walls],
     }

@@ -310,20 +310,23 @@ class TerrainFile(Terrain):
         return World(replace(self, name=path.stem), self.start.pose, self.victim.pose)
 
 
+def task_content(world: World) -> dict[str, dict[str, float]]:
+    """Return start and victim of a world as a world file states them."""
+    spots = {"start": world.start, "victim": world.victim}
+    return {
+        name: {"x": spot.x, "y": spot.y, "heading_deg": math.degrees(spot.heading)}
+        for name, spot in spots.items()
+    }
+
+
 def terrain_text(world: World) -> str:
     """Return the file content of a terrain world, one object a line, rounded to millimetres."""
     terrain = world.place
     if not isinstance(terrain, Terrain):
         raise TypeError(f"unsupported place for {FORMAT}: {type(terrain).__name__}")
-    start, victim = (
-        {"x": spot.x, "y": spot.y, "heading_deg": math.degrees(spot.heading)}
-        for spot in (world.start, world.victim)
-    )
     things = asdict(_on_grid(terrain))
     names = [field.name for field in fields(Terrain) if field.name != "name"]
-    content = {"format": FORMAT, "start": start, "victim": victim} | {
-        name: things[name] for name in names
-    }
+    content = {"format": FORMAT} | task_content(world) | {name: things[name] for name in names}
     whole = json.dumps(content, default=lambda line: line.coords[:])
     # Adding zero turns -0.0 into 0.0.
     rounded = json.loads(whole, parse_float=lambda number: round(float(number), _DECIMALS) + 0.0)

@@ -45,13 +45,17 @@ def test_camera_is_small_by_default() -> None:
     )  # fmt: skip
 
 
-@pytest.mark.zenoh
-def test_run_warns_when_the_model_is_of_another_world(
-    smal: Smal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait for a missing router for a tenth of a second only."""
     monkeypatch.setattr(
         "services.kit.bus.open_client", lambda *where, **_: open_client(*where[:2], patience_s=0.1)
     )
+
+
+@pytest.mark.zenoh
+@pytest.mark.usefixtures("impatient")
+def test_run_warns_when_the_model_is_of_another_world(smal: Smal, tmp_path: Path) -> None:
     file = corridor.save_model(tmp_path / "way.smal")
     run = ("run", "--model", file, "--connect", "tcp/127.0.0.1:9", "--world")
     replace(Model.load(file), world="campus").save(file)
@@ -100,12 +104,8 @@ def test_every_error_is_one_line(
 
 
 @pytest.mark.zenoh
-def test_a_router_that_cannot_be_there(
-    mistake: Mistake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(
-        "services.kit.bus.open_client", lambda *where, **_: open_client(*where[:2], patience_s=0.1)
-    )
+@pytest.mark.usefixtures("impatient")
+def test_a_router_that_cannot_be_there(mistake: Mistake, tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
