@@ -4,7 +4,7 @@ Read in this order. `robot` processes a frame. Its `filter` estimates the place 
 `camera` along the way. `particles` represent possible places, `likelihood` weighs a view at a place, and `movement`
 models the odometry. `planning` decides the motion. `recordings` reads recordings of the services.
 
-`teaching` builds the map from drives; driving imports nothing from it. `sought` detects the target, and `obstacles`
+`teaching` builds the map from drives; driving imports nothing from it. `target` detects the target, and `obstacles`
 plans around obstacles. Beside these are `paper`, all of Sequence-based Multimodal Apprenticeship Learning (Han, Yang,
 Zhang & Zhang, ICRA 2017), `place_recognition` between two traverses, and `evaluation`.
 """

@@ -11,9 +11,9 @@ from smal.arrays import AnyArray
 from smal.features import Centering, FeatureSettings
 from smal.files.stored import Content, Stored
 from smal.map import VisualMap
-from smal.obstacles.strange import Ground
-from smal.sought.sight import Sight, content_of_sights, sights_of_content
-from smal.sought.word import Word, content_of_words, words_of_content
+from smal.obstacles.ground import Ground
+from smal.target.appearance import TargetAppearance, appearances_of_content, content_of_appearances
+from smal.target.label import TargetLabel, content_of_labels, labels_of_content
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,10 +24,10 @@ class Model(Stored):
 
     centering: Centering
     mapped: VisualMap
-    #: Target of each goal. Without a target, a robot that has arrived reports the goal as found.
-    sights: Mapping[str, Sight] = field(default_factory=dict)
+    #: Target of each goal, by its appearance. Without a target, a robot that has arrived reports the goal as found.
+    appearances: Mapping[str, TargetAppearance] = field(default_factory=dict)
     #: Detections of the target of each goal.
-    words: Mapping[str, Word] = field(default_factory=dict)
+    labels: Mapping[str, TargetLabel] = field(default_factory=dict)
     #: Appearance of the ground, if known.
     ground: Ground | None = None
     #: Name of the world of all drives; empty if it is unknown or differs.
@@ -61,12 +61,16 @@ class Model(Stored):
     def content(self) -> Content:
         """Return the metadata and the arrays of the model file."""
         numbers, arrays = self.mapped.content()
-        sights, cells = content_of_sights(self.sights)
-        words = content_of_words(self.words)
-        meta = self.feature_settings.content | {"map": numbers, "sights": sights, "words": words}
+        appearances, cells = content_of_appearances(self.appearances)
+        labels = content_of_labels(self.labels)
+        meta = self.feature_settings.content | {
+            "map": numbers,
+            "appearances": appearances,
+            "labels": labels,
+        }
         arrays |= cells | {"mean": self.centering.mean}
         if self.ground is not None:
-            meta = meta | {"strange": self.ground.strange}
+            meta = meta | {"ground_threshold": self.ground.threshold}
             arrays = arrays | {"ground": self.ground.colours}
         if self.world:
             meta = meta | {"world": self.world}
@@ -76,14 +80,14 @@ class Model(Stored):
     def of_content(cls, meta: dict[str, Any], arrays: dict[str, AnyArray]) -> Self:
         """Build the model from the content of a file."""
         mean = arrays.pop("mean")
-        sights = sights_of_content(meta["sights"], arrays)
-        words = words_of_content(meta["words"])
+        appearances = appearances_of_content(meta["appearances"], arrays)
+        labels = labels_of_content(meta["labels"])
         ground = None
-        if "strange" in meta:
-            ground = Ground(arrays.pop("ground"), meta["strange"])
+        if "ground_threshold" in meta:
+            ground = Ground(arrays.pop("ground"), meta["ground_threshold"])
         mapped = VisualMap.of_content(meta["map"], arrays)
         centering = Centering(mean, FeatureSettings.of_content(meta))
         world = meta.get("world", "")
         if not isinstance(world, str):
             raise TypeError(f"the world is not a name: {world!r}")
-        return cls(centering, mapped, sights, words, ground, world)
+        return cls(centering, mapped, appearances, labels, ground, world)

@@ -30,11 +30,11 @@ from smal.movement import (
     placed,
 )
 from smal.obstacles.clearance import Mount, Surroundings
-from smal.obstacles.strange import GROUND_CONFIG, swept
+from smal.obstacles.ground import GROUND_CONFIG, swept
 from smal.particles import FILTER_CONFIG, FilterConfig
 from smal.planning import Decision, Planner, Said
-from smal.sought.sight import TARGET_CONFIG
-from smal.sought.witness import Glimpse, Witness
+from smal.target.appearance import TARGET_CONFIG
+from smal.target.detector import TargetDetector, TargetEstimate
 
 NO_GROUND = (
     "the model has no ground, so that unexpected ground cannot be detected; learn the model again"
@@ -54,9 +54,9 @@ class Located(NamedTuple):
     #: Belief over the heaviest places.
     belief: Belief
     #: Probability that the target is in view; None without a target detector.
-    seen: Glimpse | None
+    target: TargetEstimate | None
     #: Distance to unexpected ground ahead, in the map's unit; infinite if the ground is as taught.
-    strange: float
+    unexpected_ground: float
 
 
 @dataclass(frozen=True)
@@ -114,9 +114,9 @@ class Localizer:
         self._pitch = CameraPitch(mapped, model.centering)
         if goal is None and len({*mapped.goals}) == 1:
             goal = mapped.goals[0]
-        sight = model.sights.get(goal or "")
-        word = model.words.get(goal or "")
-        self._witness = Witness(sight, word) if sight or word else None
+        appearance = model.appearances.get(goal or "")
+        label = model.labels.get(goal or "")
+        self._detector = TargetDetector(appearance, label) if appearance or label else None
         _, last = mapped.key_range
         to_end = (mapped.key_poses - mapped.key_poses[last])[:, :2]
         near_end = np.hypot(*to_end.T) <= TARGET_CONFIG.approach_s * mapped.speed
@@ -130,30 +130,32 @@ class Localizer:
         self._pose = pose if self._map.odometry else None
         self._since_near = math.inf
         self._time_s = 0.0
-        self._strange_s = 0.0
+        self._unexpected_s = 0.0
         self._step_s = 0.0
         self._movement = STILL
-        self._strange = math.inf
-        if self._witness is not None:
-            self._witness.reset()
+        self._unexpected_ground = math.inf
+        if self._detector is not None:
+            self._detector.reset()
 
     def locate(
         self,
         percept: Percept,
         odometry: Sequence[float] | None = None,
-        made: Sequence[Atom | Motion] = (),
+        executed: Sequence[Atom | Motion] = (),
         elapsed_s: float | None = None,
     ) -> Located:
         """Process one frame; odometry, motions, time and errors are as in `observe`."""
         picture = percept.picture
         percept = self._pitch.levelled(percept)
-        whole = self.observe(percept.features, odometry, made, elapsed_s)
+        whole = self.observe(percept.features, odometry, executed, elapsed_s)
         whole = replace(whole, pitch_deg=self._pitch.pitch_deg)
-        seen = self.seen(percept.picture, whole, percept.detected)
+        target = self.target(percept.picture, whole, percept.detected)
         belief = whole.summary()
         self._compare(picture, belief)
-        strange = self.strange(percept.picture, belief) if self._watches else math.inf
-        return Located(whole, belief, seen, strange)
+        unexpected_ground = (
+            self.unexpected_ground(percept.picture, belief) if self._watches else math.inf
+        )
+        return Located(whole, belief, target, unexpected_ground)
 
     def _compare(self, picture: Uint8s | None, belief: Belief) -> None:
         """Compare a small picture with the map, for the pitch of the camera."""
@@ -173,9 +175,9 @@ class Localizer:
         if self._pitch.pitch_deg != before:
             self._filter.forget_view()
 
-    def seen(
+    def target(
         self, picture: Uint8s | None, belief: Belief, detected: Iterable[Detection] = ()
-    ) -> Glimpse | None:
+    ) -> TargetEstimate | None:
         """Return the probability that the target is in view.
 
         The target detector runs only near a taught goal. Turning on the spot keeps it active, whatever the belief.
@@ -190,21 +192,21 @@ class Localizer:
 
         Returns
         -------
-        Glimpse or None
+        TargetEstimate or None
             None without a target detector.
         """
-        if self._witness is None:
+        if self._detector is None:
             return None
         near = belief.weights * self._near[belief.keyframes]
         place = self._before_end(belief, near) if near.sum() >= 0.5 else None
         if place is not None:
             self._since_near = 0.0
         if self._since_near > self._map.correlation_length:
-            self._witness.reset()
-            return Glimpse(0.0, 0.0)
+            self._detector.reset()
+            return TargetEstimate(0.0, 0.0)
         if picture is None:
-            return Glimpse(0.0, 0.0)
-        return self._witness.observe(picture, self._time_s, detected, place)
+            return TargetEstimate(0.0, 0.0)
+        return self._detector.observe(picture, self._time_s, detected, place)
 
     def _before_end(self, belief: Belief, weights: Floats) -> tuple[float, float]:
         """Return the distance from the ends of drives, and its deviation, in seconds of driving."""
@@ -216,29 +218,31 @@ class Localizer:
         deviation_s = math.sqrt(np.average((away_s - mean_s) ** 2, weights=weights))
         return mean_s, deviation_s
 
-    def strange(self, picture: Uint8s | None, belief: Belief) -> float:
+    def unexpected_ground(self, picture: Uint8s | None, belief: Belief) -> float:
         """Return the distance to unexpected ground ahead, in the map's unit; infinite if the ground is as taught."""
         best = int(belief.weights.argmax())
         offset = belief.offsets[best]
         if self._ground is None or picture is None or belief.is_lost:
-            self._strange_s = 0.0
-            self._strange = math.inf
+            self._unexpected_s = 0.0
+            self._unexpected_ground = math.inf
         elif abs(offset[2]) < math.radians(self._map.config.spacing_deg):
             key = int(belief.keyframes[best])
             way = way_from(self._map, key, offset, swept(self._map.speed))
             neighbours = beside(self._map, key, GROUND_CONFIG.keyframes)
-            far = self._ground.strange_m(picture, neighbours, way, self._map)
+            far = self._ground.unexpected(picture, neighbours, way, self._map)
             # A momentary detection is ignored.
-            self._strange_s = self._strange_s + self._step_s if math.isfinite(far) else 0.0
-            self._strange = far if self._strange_s >= GROUND_CONFIG.lasts_s else math.inf
+            self._unexpected_s = self._unexpected_s + self._step_s if math.isfinite(far) else 0.0
+            self._unexpected_ground = (
+                far if self._unexpected_s >= GROUND_CONFIG.lasts_s else math.inf
+            )
         # A robot that is turned aside sees untaught ground; the last detection stays valid.
-        return self._strange
+        return self._unexpected_ground
 
     def observe(
         self,
         raw_features: AnyArray,
         odometry: Sequence[float] | None = None,
-        atoms: Sequence[Atom | Motion] = (),
+        executed: Sequence[Atom | Motion] = (),
         elapsed_s: float | None = None,
     ) -> Belief:
         """Update the belief by the features of one frame.
@@ -250,7 +254,7 @@ class Localizer:
         odometry : sequence (3,), optional
             Odometry pose at the frame: x, y, and heading in radians. It is ignored if the map was taught without
             odometry, because the map then has another unit.
-        atoms : sequence of Atom or Motion
+        executed : sequence of Atom or Motion
             Executed since the frame before, for equal parts of the time. Used only without odometry. For a frame
             without atoms and odometry, the movement follows from the next pose.
         elapsed_s : float, optional
@@ -276,28 +280,30 @@ class Localizer:
         if odometry is not None and self._pose is not None:
             movement = Movement.between(self._pose, odometry)
             noise = BY_ODOMETRY
-        elif atoms:
-            movement = self._usual_movement(atoms, elapsed_s)
+        elif executed:
+            movement = self._usual_movement(executed, elapsed_s)
         belief = self._filter.observe(raw_features, movement, noise)
-        if noise is BY_ODOMETRY and _drives_ahead(atoms):
+        if noise is BY_ODOMETRY and _drives_ahead(executed):
             belief = replace(belief, moved=movement.ahead)
         self._movement = movement
         self._since_near += abs(movement.ahead)
-        self._strange = max(self._strange - movement.ahead, 0.0)
+        self._unexpected_ground = max(self._unexpected_ground - movement.ahead, 0.0)
         self._step_s = self._map.tick_s if elapsed_s is None else elapsed_s
         self._time_s += self._step_s
         # Only now: a rejected frame must not change the state.
-        if odometry is not None or atoms:
+        if odometry is not None or executed:
             self._pose = odometry
         return belief
 
-    def _usual_movement(self, atoms: Sequence[Atom | Motion], elapsed_s: float | None) -> Movement:
-        """Return the usual movement of atoms or motions, executed for equal parts of a time."""
-        ticks = len(atoms) if elapsed_s is None else elapsed_s / self._map.tick_s
+    def _usual_movement(
+        self, executed: Sequence[Atom | Motion], elapsed_s: float | None
+    ) -> Movement:
+        """Return the usual movement of atoms or motions that were executed for equal parts of a time."""
+        ticks = len(executed) if elapsed_s is None else elapsed_s / self._map.tick_s
         table = self._map.movements
         full = table[Atom.FORWARD, 0], table[Atom.LEFT, 1]
         movements = [
-            np.multiply(atom, full) if isinstance(atom, tuple) else table[atom] for atom in atoms
+            np.multiply(atom, full) if isinstance(atom, tuple) else table[atom] for atom in executed
         ]
         ahead, turn = np.mean(movements, axis=0) * ticks
         return Movement(float(ahead), float(turn))
@@ -391,7 +397,7 @@ class Robot:
         self._localizer.reset()
         self._planner.reset()
         #: Motion since the last image: the result of `step`, unless the caller sets another motion or an atom.
-        self.made: Atom | Motion = STANDS
+        self.executed: Atom | Motion = STANDS
         self._around: Surroundings | None = None
         self._swapped: list[float] = []
 
@@ -431,7 +437,7 @@ class Robot:
         # One image that is less like the map when swapped settles it.
         if len(self._swapped) < _COLOURS_CHECKED and min(self._swapped, default=1.0) > 0.0:
             self._check_colours(image, percept.features)
-        located = self._localizer.locate(percept, odometry, [self.made], elapsed_s)
+        located = self._localizer.locate(percept, odometry, [self.executed], elapsed_s)
         self.belief = located.whole
         if odometry is None:
             self._around = None
@@ -443,11 +449,11 @@ class Robot:
         self.decision = self._planner.decide(
             located.belief,
             elapsed_s,
-            seen=located.seen,
+            target=located.target,
             around=self._around,
-            strange=located.strange,
+            unexpected_ground=located.unexpected_ground,
         )
-        self.made = self.decision.motion
+        self.executed = self.decision.motion
         return self.decision.motion
 
     def _check_colours(self, image: Uint8s, features: Float32s) -> None:

@@ -69,7 +69,7 @@ def learn(
             )
         except ValueError as error:
             raise JobError(f"cannot learn from these recordings: {error}") from None
-    for goal in sorted({*model.mapped.goals} - {*model.sights} - {*model.words}):
+    for goal in sorted({*model.mapped.goals} - {*model.appearances} - {*model.labels}):
         echo(
             f"{goal}: the end of the drive shows nothing particular; the robot reports it as found"
             " after it has tracked the way to its end",
@@ -91,6 +91,6 @@ def _found(model: Model) -> dict[str, Any]:
     }
     if features.describing != features.modalities:
         # If the model uses detectors, report the target object of each goal.
-        labels = {goal: word.label for goal, word in model.words.items()}
+        labels = {goal: found.label for goal, found in model.labels.items()}
         found["detected"] = {goal: labels.get(goal, "nothing") for goal in taught.goals}
     return found

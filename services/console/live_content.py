@@ -22,8 +22,8 @@ from services.kit.bus import Bus, RpcError
 from services.kit.health import ailment
 from services.kit.jpeg import is_jpeg
 from services.kit.node import Node, ServiceError
+from services.kit.obstacle_memory import ObstacleMemory
 from services.kit.root import below, name_below
-from services.kit.sight import ObstacleSight
 from services.table import stack_services
 from smal.files.container import ModelError
 from smal.files.stored import Stored
@@ -103,11 +103,11 @@ class LiveContent:
         self._way: list[tuple[float, float]] = []
         self._way_of = ""
         self._planned: object = None  # World of the shown ground plan.
-        self._sight = ObstacleSight()
+        self._obstacles = ObstacleMemory()
         self._seen_s = -math.inf  # Time of the last frame.
         node.subscribe(topics.JPEG, self._on_image, depth=1)
-        node.subscribe(topics.DEPTH, self._sight.see)
-        node.subscribe(topics.ODOMETRY, self._sight.roll)
+        node.subscribe(topics.DEPTH, self._obstacles.store_depth)
+        node.subscribe(topics.ODOMETRY, self._obstacles.store_odometry)
         node.subscribe(topics.STATE, self._on_state)
         node.subscribe(topics.POSE, self._on_pose)
         node.subscribe(topics.TRACKED, self._on_tracked)
@@ -138,15 +138,15 @@ class LiveContent:
 
     def _look_around(self, episode: str) -> None:
         """Show obstacles from the depth camera, if there are watchers."""
-        around = self._sight.around(episode) if self._board.watchers else None
-        if around is None or self._sight.mount is None or (seen := around.seen) is None:
+        around = self._obstacles.around(episode) if self._board.watchers else None
+        if around is None or self._obstacles.mount is None or (seen := around.seen) is None:
             return
         columns = np.stack([seen.across, seen.hit_m, seen.top_m], axis=1)[
             seen.hit_m < around.reach_m
         ]
         self._put(
             "around",
-            mounting=self._sight.mount._asdict(),
+            mounting=self._obstacles.mount._asdict(),
             # In the image: metres to the left at 1 m ahead, distance, height; and the spacing of
             # columns.
             columns=columns.round(3).tolist(),
@@ -166,8 +166,8 @@ class LiveContent:
             cosine=round(state.cosine, 3),
             camera=state.camera,
             pitch=state.pitch_deg,
-            seen=None if state.seen is None else round(state.seen, 3),
-            left=state.seen_left,
+            seen=None if state.target_visible is None else round(state.target_visible, 3),
+            left=state.target_left,
             gap=state.duality_gap,
             state=state.state,
             places=[

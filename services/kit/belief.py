@@ -9,7 +9,7 @@ from schemas.array import Float32Array
 from schemas.state import FAR_M, State
 from smal.filter import Belief
 from smal.robot import Located
-from smal.sought.witness import Glimpse
+from smal.target.detector import TargetEstimate
 
 
 def fields_of(located: Located) -> dict[str, Any]:
@@ -30,10 +30,12 @@ def fields_of(located: Located) -> dict[str, Any]:
         "pitch_deg": belief.pitch_deg,
         "moved_m": belief.moved,
     }
-    if located.seen is not None:
-        fields |= dict(zip(("seen", "near", "seen_left"), located.seen, strict=True))
-    if math.isfinite(located.strange):
-        fields["strange_m"] = located.strange
+    if located.target is not None:
+        fields |= dict(
+            zip(("target_visible", "target_near", "target_left"), located.target, strict=True)
+        )
+    if math.isfinite(located.unexpected_ground):
+        fields["unexpected_ground_m"] = located.unexpected_ground
     return fields
 
 
@@ -56,6 +58,8 @@ def belief_of(state: State) -> Belief:
     )
 
 
-def glimpse_of(state: State) -> Glimpse | None:
+def target_of(state: State) -> TargetEstimate | None:
     """Return the detection of the target; None without a target detector."""
-    return None if state.seen is None else Glimpse(state.seen, state.near, state.seen_left)
+    if state.target_visible is None:
+        return None
+    return TargetEstimate(state.target_visible, state.target_near, state.target_left)

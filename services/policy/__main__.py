@@ -11,8 +11,8 @@ def serve(node: Node, settings: ModelSettings) -> None:
     """Publish decisions and commands until stopped."""
     service = PolicyService()
     node.subscribe(topics.APPLIED, service.see_applied)
-    node.subscribe(topics.ODOMETRY, service.sight.roll)
-    node.subscribe(topics.DEPTH, service.sight.see)
+    node.subscribe(topics.ODOMETRY, service.obstacles.store_odometry)
+    node.subscribe(topics.DEPTH, service.obstacles.store_depth)
     serve_model(node, settings, service, topics.STATE)
 
 

@@ -11,10 +11,10 @@ from schemas.base import Message, Velocity
 from schemas.command import Command, CommandApplied
 from schemas.rpc import LoadReply
 from schemas.state import State
-from services.kit.belief import belief_of, glimpse_of
+from services.kit.belief import belief_of, target_of
 from services.kit.model_service import LoadedModel, Wheels
 from services.kit.node import Detail
-from services.kit.sight import ObstacleSight
+from services.kit.obstacle_memory import ObstacleMemory
 from services.kit.throttle import Throttle
 from smal.model import Model
 from smal.paper.execution import DecisionMaker, Recognition
@@ -42,7 +42,7 @@ class PolicyService:
         self._last: tuple[State, list[Message]] | None = None
         self._foreign = 0
         self._complaints = Throttle()
-        self.sight = ObstacleSight()  # Obstacles around the robot, which the plan avoids.
+        self.obstacles = ObstacleMemory()  # Obstacles around the robot, which the plan avoids.
         #: Recent delays of its commands until the robot moves, as reported by the actuator.
         self._delays_s: deque[float] = deque([0.0], maxlen=DELAYS_KEPT)
 
@@ -96,7 +96,7 @@ class PolicyService:
                 return answer
             if last.episode != state.episode:
                 maker.reset()
-        answer = maker.answer(state, median(self._delays_s), self.sight)
+        answer = maker.answer(state, median(self._delays_s), self.obstacles)
         self._last = (state, answer)
         return answer
 
@@ -144,13 +144,15 @@ class _ByFilter:
         self._planner.reset()
         self._stamp_ns: int | None = None
 
-    def answer(self, state: State, delay_s: float, sight: ObstacleSight) -> list[Message]:
+    def answer(self, state: State, delay_s: float, obstacles: ObstacleMemory) -> list[Message]:
         elapsed_s = state.since(self._stamp_ns)
         self._stamp_ns = state.stamp_ns
-        around = sight.around(state.episode, self._planner.radius_m)
-        strange = math.inf if state.strange_m is None else state.strange_m
+        around = obstacles.around(state.episode, self._planner.radius_m)
+        unexpected_ground = (
+            math.inf if state.unexpected_ground_m is None else state.unexpected_ground_m
+        )
         decision = self._planner.decide(
-            belief_of(state), elapsed_s, delay_s, glimpse_of(state), around, strange
+            belief_of(state), elapsed_s, delay_s, target_of(state), around, unexpected_ground
         )
         velocity = Velocity(*decision.motion)
         known = int(state.keyframes[0]) if state.status == "recognized" else None
@@ -182,7 +184,7 @@ class _ByPaper:
     def reset(self) -> None:
         self._maker.reset()
 
-    def answer(self, state: State, _delay_s: float, _sight: ObstacleSight) -> list[Message]:
+    def answer(self, state: State, _delay_s: float, _obstacles: ObstacleMemory) -> list[Message]:
         answer: list[Message] = []
         if state.status in {"recognized", "unknown"}:
             decision = self._maker.decide(Recognition(state.status, state.tick, state.state))

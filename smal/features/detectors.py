@@ -1,7 +1,7 @@
 """Detectors: signs that can be read, and boxes of a user's network.
 
 A detector is listed among the modalities and adds nothing to the feature vector, because virtual views have no
-detections. Its detections count in the search for a goal (`smal.sought.word`).
+detections. Its detections count in the search for a goal (`smal.target.label`).
 """
 
 from collections.abc import Sequence

@@ -20,7 +20,7 @@ from smal.obstacles.avoidance import Turns, detour_turn
 from smal.obstacles.clearance import Surroundings
 from smal.planning.route import Route
 from smal.planning.steering import Chassis, Intent, Kind
-from smal.sought.witness import Glimpse
+from smal.target.detector import TargetEstimate
 
 Said = Literal["found", "not_here"]
 
@@ -31,7 +31,7 @@ class Situation:
 
     Attributes
     ----------
-    belief, seen, around, strange, elapsed_s
+    belief, target, around, unexpected_ground, elapsed_s
         As in `Planner.decide`.
     doing, motion
         Kind and motion of the last decision.
@@ -52,9 +52,9 @@ class Situation:
     """
 
     belief: Belief
-    seen: Glimpse | None
+    target: TargetEstimate | None
     around: Surroundings | None
-    strange: float
+    unexpected_ground: float
     elapsed_s: float
     doing: Kind | None
     motion: Motion
@@ -235,8 +235,8 @@ class Search(Behaviour):
 
     def _target_rad(self, now: Situation) -> float | None:
         """Return the direction to the target in view; out of view, to its taught place ahead of the end of the way."""
-        if now.seen is not None and now.seen.left is not None:
-            return self._off_rad(now.seen.left)
+        if now.target is not None and now.target.left is not None:
+            return self._off_rad(now.target.left)
         in_field = abs(now.heading_rad) < self._taught.field_rad / 2.0
         return now.heading_rad if self.arrived and now.at_end and in_field else None
 
@@ -248,9 +248,9 @@ class Search(Behaviour):
         sure = self._sure(now)
         if not self.arrived and now.at_end and sure:
             self._arrive(now.belief)
-        if self._finds(now.seen, sure):
+        if self._finds(now.target, sure):
             return "found"
-        self._nears = self._may_approach(now.seen, sure)
+        self._nears = self._may_approach(now.target, sure)
         if self.arrived:
             return None if self._nears else self._leave(now.belief)
         stuck = not (now.has_way or now.lost or now.unseen) and self._look.done
@@ -260,8 +260,8 @@ class Search(Behaviour):
         """Approach the visible target, or search it at the end of the way: turn once round, whatever the belief."""
         if now.unseen and not now.sees:
             return None
-        if self._nears and now.seen is not None and now.seen.left is not None:
-            heading_rad = self._off_rad(now.seen.left)
+        if self._nears and now.target is not None and now.target.left is not None:
+            heading_rad = self._off_rad(now.target.left)
             return Intent("search", None, heading_rad, np.array([heading_rad]), np.ones(1))
         if not self.arrived:
             return None
@@ -274,30 +274,30 @@ class Search(Behaviour):
         If nothing stands out at the end of the way, its views are no evidence, so that only tracking counts.
         """
         followed = now.belief.tracked > self._config.tracked * self._taught.correlation_length
-        looked = now.seen is not None and self._look.done_here
+        looked = now.target is not None and self._look.done_here
         at_goal = now.at_goal * (1.0 - now.belief.lost)
         return (followed or looked) and at_goal > self._config.arrived
 
-    def _finds(self, seen: Glimpse | None, sure: bool) -> bool:
+    def _finds(self, target: TargetEstimate | None, sure: bool) -> bool:
         """Return whether the target is in view, and about as near as where the taught ways ended."""
-        if seen is None:
+        if target is None:
             return self.arrived
-        return self._in_view(seen) and (
-            (self.arrived and self._is_near(seen)) or (sure and seen.near > 1.0)
+        return self._in_view(target) and (
+            (self.arrived and self._is_near(target)) or (sure and target.near > 1.0)
         )
 
-    def _may_approach(self, seen: Glimpse | None, sure: bool) -> bool:
-        if seen is None or seen.left is None or not self._in_view(seen):
+    def _may_approach(self, target: TargetEstimate | None, sure: bool) -> bool:
+        if target is None or target.left is None or not self._in_view(target):
             return False
-        in_reach = self.arrived or (sure and self._is_near(seen))
+        in_reach = self.arrived or (sure and self._is_near(target))
         return in_reach and self._neared_s < self._config.goal_s
 
-    def _in_view(self, seen: Glimpse) -> bool:
-        return seen.probability > self._config.in_view and not self._came_s
+    def _in_view(self, target: TargetEstimate) -> bool:
+        return target.probability > self._config.in_view and not self._came_s
 
-    def _is_near(self, seen: Glimpse) -> bool:
+    def _is_near(self, target: TargetEstimate) -> bool:
         """Return whether the target is about as near as taught: from an untaught pose less of it can be visible."""
-        return seen.near > 1.0 / self._config.as_near
+        return target.near > 1.0 / self._config.as_near
 
     def _arrive(self, belief: Belief) -> None:
         self.arrived = True
@@ -474,7 +474,7 @@ class Wait(Behaviour):
         """Return the intent, or a replacement if an obstacle blocks it."""
         around = self._things(now)
         if around is None or not around.has_camera:
-            intent = self._before_strange_ground(intent, now)
+            intent = self._before_unexpected_ground(intent, now)
         if around is None or intent.motion is not None:
             return intent
         return self._among_things(intent, now, around)
@@ -508,18 +508,18 @@ class Wait(Behaviour):
         self._evades = round_rad != heading_rad
         return round_rad
 
-    def _before_strange_ground(self, intent: Intent, now: Situation) -> Intent:
+    def _before_unexpected_ground(self, intent: Intent, now: Situation) -> Intent:
         """Slow down and stop before unexpected ground, except on the way to a visible target."""
         ahead = intent.kind != "search" if intent.motion is None else intent.motion[0] > 0.0
-        target_visible = now.seen is not None and now.seen.probability > self._config.likely
+        target_visible = now.target is not None and now.target.probability > self._config.likely
         if not ahead or target_visible:
             return intent
-        if now.strange < self._config.stops_s * self._chassis.speed:
+        if now.unexpected_ground < self._config.stops_s * self._chassis.speed:
             # The robot first turns to its way and checks the ground there.
             spacing_rad = math.radians(self._taught.config.spacing_deg)
             aside = abs(intent.heading_rad) > spacing_rad and not self._chassis.car
             return replace(intent, pace=0.0) if aside else self._wait(now)
-        near = now.strange < self._config.slows_s * self._chassis.speed
+        near = now.unexpected_ground < self._config.slows_s * self._chassis.speed
         return replace(intent, pace=self._config.slowly) if near else intent
 
     def _wait(self, now: Situation) -> Intent:

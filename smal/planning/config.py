@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from smal.obstacles.strange import INSPECTS_S
-from smal.sought.sight import TARGET_CONFIG
+from smal.obstacles.ground import INSPECTS_S
+from smal.target.appearance import TARGET_CONFIG
 
 
 @dataclass(frozen=True)

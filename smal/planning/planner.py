@@ -31,7 +31,7 @@ from smal.planning.behaviours import (
 from smal.planning.config import PLANNER_CONFIG, PlannerConfig
 from smal.planning.route import Route
 from smal.planning.steering import Chassis, Kind, Steering
-from smal.sought.witness import Glimpse
+from smal.target.detector import TargetEstimate
 
 
 @dataclass(frozen=True)
@@ -117,9 +117,9 @@ class Planner:
         belief: Belief,
         elapsed_s: float | None = None,
         delay_s: float = 0.0,
-        seen: Glimpse | None = None,
+        target: TargetEstimate | None = None,
         around: Surroundings | None = None,
-        strange: float = math.inf,
+        unexpected_ground: float = math.inf,
     ) -> Decision:
         """Decide the motion until the next frame.
 
@@ -131,13 +131,13 @@ class Planner:
             Time since the frame before, seconds; by default a taught tick.
         delay_s
             Latency from the frame until the decision moves the robot, seconds. Until then the last motion goes on.
-        seen
+        target
             Probability that the target is in view; None without a target detector. The robot then announces "found"
             on arrival by a tracked way.
         around
             Obstacles around a robot with odometry, which adds what it touches. A robot that turns on the spot drives
             around them. For every robot, an obstacle that has just appeared is not the target.
-        strange
+        unexpected_ground
             Distance to unexpected ground ahead, in the map's unit. A robot without a depth camera, or that does not
             drive around obstacles, slows down and waits before it.
         """
@@ -146,7 +146,7 @@ class Planner:
         # Without decisions the robot stops after a while: it has not gone on turning since.
         elapsed_s = min(elapsed_s, self._config.stands_after_s)
         delay_s = min(delay_s, self._config.stands_after_s)
-        now = self._situation(belief, elapsed_s, delay_s, seen, around, strange)
+        now = self._situation(belief, elapsed_s, delay_s, target, around, unexpected_ground)
         for behaviour in self._behaviours:
             behaviour.note(now)
         self._mission.said = self._mission.said or self._search.judge(now)
@@ -163,9 +163,9 @@ class Planner:
         belief: Belief,
         elapsed_s: float,
         delay_s: float,
-        seen: Glimpse | None,
+        target: TargetEstimate | None,
         around: Surroundings | None,
-        strange: float,
+        unexpected_ground: float,
     ) -> Situation:
         taught = self._taught
         route = self._mission.route
@@ -183,9 +183,9 @@ class Planner:
         has_way = route.has_way(belief)
         return Situation(
             belief=belief,
-            seen=seen,
+            target=target,
             around=around,
-            strange=strange,
+            unexpected_ground=unexpected_ground,
             elapsed_s=elapsed_s,
             doing=self._doing,
             motion=self._steering.motion,

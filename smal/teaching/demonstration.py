@@ -15,7 +15,7 @@ from smal.camera import Camera, Image
 from smal.features.extraction import Parallel, extract, in_parallel, looked_at
 from smal.features.settings import FeatureSettings
 from smal.map import GOAL_NAME
-from smal.sought.learning import Box
+from smal.target.learning import Box
 
 #: Goal of drives without a goal.
 USUAL_GOAL = "victim"

@@ -23,10 +23,10 @@ from smal.keyframes import MAP_CONFIG, MapConfig, shows_same, without_detours
 from smal.map import VisualMap, beside, way_from
 from smal.model import Model
 from smal.movement import Atom
-from smal.obstacles.strange import GROUND_CONFIG, Ground, colours_of, extreme, patches, swept
-from smal.sought.learning import Box, Taught, learn_sight, learn_word
-from smal.sought.sight import Sight
-from smal.sought.word import Word
+from smal.obstacles.ground import GROUND_CONFIG, Ground, colours_of, extreme, patches, swept
+from smal.target.appearance import TargetAppearance
+from smal.target.label import TargetLabel
+from smal.target.learning import Box, Taught, learn_appearance, learn_label
 from smal.teaching.calibration import (
     CALIBRATION_CONFIG,
     USUAL_CAMERAS,
@@ -154,8 +154,8 @@ def learn(
     )
     boxes = [drive.box for drive in taught]
     visual_map = stitched(visual_map)
-    sights, words, ground = _seen(images, visual_map, boxes, features)
-    return Model(centering, visual_map, sights, words, ground)
+    appearances, labels, ground = _seen(images, visual_map, boxes, features)
+    return Model(centering, visual_map, appearances, labels, ground)
 
 
 def _drives_to_map(
@@ -393,7 +393,7 @@ def _seen(
     mapped: VisualMap,
     boxes: Sequence[Box | None],
     features: FeatureSettings,
-) -> tuple[dict[str, Sight], dict[str, Word], Ground]:
+) -> tuple[dict[str, TargetAppearance], dict[str, TargetLabel], Ground]:
     """Learn the target of each goal, its detections, and the ground.
 
     A goal has a target if something stands out there, or is drawn in the last view.
@@ -408,8 +408,8 @@ def _seen(
     pictures, detected = zip(*in_parallel(inspect, keys.tolist()), strict=True)
     left_s = (mapped.arc[keys[ends]] - mapped.arc[keys]) / max(mapped.speed, 1e-9)
     drives = [np.flatnonzero(mapped.key_drives == drive) for drive in range(len(mapped.goals))]
-    sights = {}
-    words = {}
+    appearances = {}
+    labels = {}
     for goal in sorted(set(mapped.goals)):
         taught = [
             Taught(
@@ -421,18 +421,18 @@ def _seen(
             )
             for drive, of_drive in enumerate(drives)
         ]
-        if (sight := learn_sight(taught)) is not None:
-            sights[goal] = sight
-        if (word := learn_word(taught)) is not None:
-            words[goal] = word
-    return sights, words, _ground(pictures, mapped)
+        if (appearance := learn_appearance(taught)) is not None:
+            appearances[goal] = appearance
+        if (label := learn_label(taught)) is not None:
+            labels[goal] = label
+    return appearances, labels, _ground(pictures, mapped)
 
 
 def _ground(pictures: Sequence[Image], mapped: VisualMap) -> Ground:
     """Learn the ground, and the threshold of unexpected ground: each keyframe is compared with its neighbours."""
     colours = np.stack([colours_of(picture) for picture in pictures])
 
-    def strangest(key: int) -> float:
+    def furthest(key: int) -> float:
         others = np.setdiff1d(beside(mapped, key, GROUND_CONFIG.keyframes), key)
         way = way_from(mapped, key, np.zeros(3), swept(mapped.speed))
         _, score = patches(pictures[key], colours[others], way, mapped)
@@ -440,7 +440,7 @@ def _ground(pictures: Sequence[Image], mapped: VisualMap) -> Ground:
 
     # A drive of one keyframe has no neighbours.
     first, last = mapped.key_range
-    scores = list(in_parallel(strangest, np.flatnonzero(first != last).tolist()))
+    scores = list(in_parallel(furthest, np.flatnonzero(first != last).tolist()))
     return Ground(colours, max(extreme(scores), GROUND_CONFIG.least))
 
 

@@ -19,7 +19,7 @@ from smal.movement import Atom, Motion
 from smal.planning import Decision, Planner, cost_to_go
 from smal.planning.config import PLANNER_CONFIG
 from smal.planning.steering import Chassis, Intent, Steering
-from smal.sought.witness import Glimpse
+from smal.target.detector import TargetEstimate
 from tests.smal.synthetic_world import START, TICK, Room, drive, driven, from_beside, usual_map
 
 #: Pairs of keyframes, and how the first stands to the second.
@@ -134,10 +134,10 @@ END = belief((len(STRAIGHT.keyframes) - 1, 0.0, 0.0, 0.0))
 
 def test_goal_is_found_only_when_the_target_is_seen() -> None:
     planner = Planner(STRAIGHT)
-    decision = planner.decide(END, seen=Glimpse(0.5, near=0.0))
+    decision = planner.decide(END, target=TargetEstimate(0.5, near=0.0))
     assert (decision.kind, planner.arrived, planner.said) == ("search", True, None)
     assert key(decision) is Atom.LEFT
-    assert key(planner.decide(END, seen=Glimpse(0.99, near=1.1))) is Atom.STOP
+    assert key(planner.decide(END, target=TargetEstimate(0.99, near=1.1))) is Atom.STOP
     assert planner.said == "found"
 
 
@@ -145,7 +145,7 @@ def looked_around(planner: Planner, *places: tuple[int, float, float, float]) ->
     """Look around, at one place after the other."""
     for number in range(105):
         here = belief(places[number * len(places) // 105], tracked=0.0, lost=0.6)
-        planner.decide(here, seen=Glimpse(0.0, 0.0))
+        planner.decide(here, target=TargetEstimate(0.0, 0.0))
 
 
 LAST = (len(STRAIGHT.keyframes) - 1, 0.0, 0.0, 0.0)
@@ -159,7 +159,7 @@ def test_look_around_counts_at_its_own_place(
 ) -> None:
     planner = Planner(STRAIGHT)
     looked_around(planner, *before)
-    planner.decide(belief(LAST, tracked=0.0), seen=Glimpse(0.99, 1.1, 0.0))
+    planner.decide(belief(LAST, tracked=0.0), target=TargetEstimate(0.99, 1.1, 0.0))
     assert planner.said == ("found" if arrived else None)
 
 
@@ -173,9 +173,9 @@ def test_robot_must_track_its_way_when_it_has_no_target() -> None:
 
 def test_search_is_not_confused_by_similar_places() -> None:
     planner = Planner(STRAIGHT)
-    planner.decide(END, seen=Glimpse(0.0, near=0.0))
+    planner.decide(END, target=TargetEstimate(0.0, near=0.0))
     kinds = [
-        planner.decide(belief((10, 0.0, 0.0, 2.0)), seen=Glimpse(0.0, near=0.0)).kind
+        planner.decide(belief((10, 0.0, 0.0, 2.0)), target=TargetEstimate(0.0, near=0.0)).kind
         for _ in range(120)
     ]
     assert set(kinds) == {"search", "goal"}
@@ -185,12 +185,12 @@ def test_search_is_not_confused_by_similar_places() -> None:
 def test_robot_approaches_a_distant_target() -> None:
     planner = Planner(STRAIGHT)
     atoms = [
-        key(planner.decide(END, seen=Glimpse(0.99, 0.5, left)))
+        key(planner.decide(END, target=TargetEstimate(0.99, 0.5, left)))
         for left in (0.4, 0.4, 0.0, 0.0, -0.4)
     ]
     assert atoms == [Atom.LEFT, Atom.LEFT, Atom.FORWARD, Atom.FORWARD, Atom.RIGHT]
     assert planner.said is None
-    assert key(planner.decide(END, seen=Glimpse(0.99, near=1.1))) is Atom.STOP
+    assert key(planner.decide(END, target=TargetEstimate(0.99, near=1.1))) is Atom.STOP
     assert planner.said == "found"
 
 
@@ -199,7 +199,7 @@ def test_robot_gives_up_a_target_that_stays_far() -> None:
     made = Counter[Atom]()
     while planner.said is None:
         assert made.total() < 200, "no end is reported"
-        made[key(planner.decide(END, seen=Glimpse(0.99, near=0.0)))] += 1
+        made[key(planner.decide(END, target=TargetEstimate(0.99, near=0.0)))] += 1
     assert planner.said == "not_here"
     assert made[Atom.FORWARD] * STRAIGHT.tick_s <= PLANNER_CONFIG.goal_s + STRAIGHT.tick_s
 
@@ -210,7 +210,7 @@ def test_robot_reports_not_here_after_a_full_turn() -> None:
     while planner.said is None:
         assert turned_rad < 8.0, "no end is reported"
         turned_rad += {Atom.LEFT: abs(float(STRAIGHT.movements[Atom.LEFT, 1]))}.get(
-            key(planner.decide(END, seen=Glimpse(0.0, near=0.0))), 0.0
+            key(planner.decide(END, target=TargetEstimate(0.0, near=0.0))), 0.0
         )
     assert planner.said == "not_here"
     assert turned_rad > 2.0 * math.pi
@@ -227,10 +227,10 @@ def test_goal_is_not_reported_when_the_belief_is_unsure(
     share: float, lost: float, tracked: float
 ) -> None:
     places = ((len(STRAIGHT.keyframes) - 1, 0.0, 0.0, 0.0), (10, 0.0, 0.0, 0.0))
-    for seen in (None, Glimpse(0.99, 1.1, 0.0)):
+    for target in (None, TargetEstimate(0.99, 1.1, 0.0)):
         planner = Planner(STRAIGHT)
         unsure = belief(*places, weights=(share, 1.0 - share), lost=lost, tracked=tracked)
-        assert planner.decide(unsure, seen=seen).kind != "goal"
+        assert planner.decide(unsure, target=target).kind != "goal"
         assert not planner.said
 
 
@@ -285,18 +285,20 @@ def test_robot_does_not_oscillate_when_its_rate_is_low() -> None:
 def test_robot_approaches_a_target_beside_the_way_and_goes_on() -> None:
     planner = Planner(STRAIGHT)
     before = belief((len(STRAIGHT.keyframes) - 3, 0.0, 0.0, 0.0))
-    atoms = [key(planner.decide(before, seen=Glimpse(0.99, 0.9, left))) for left in (0.4, 0.0)]
+    atoms = [
+        key(planner.decide(before, target=TargetEstimate(0.99, 0.9, left))) for left in (0.4, 0.0)
+    ]
     assert atoms == [Atom.LEFT, Atom.FORWARD]
-    kinds = [planner.decide(before, seen=Glimpse(0.99, 0.9, 0.0)).kind for _ in range(30)]
+    kinds = [planner.decide(before, target=TargetEstimate(0.99, 0.9, 0.0)).kind for _ in range(30)]
     assert (kinds[0], kinds[-1], planner.said) == ("search", "follow", None)
     planner.reset()
-    planner.decide(before, seen=Glimpse(0.99, 1.1, 0.0))
+    planner.decide(before, target=TargetEstimate(0.99, 1.1, 0.0))
     assert planner.said == "found"
 
 
 def test_robot_does_not_approach_an_unlocated_target() -> None:
     planner = Planner(STRAIGHT)
-    atoms = {key(planner.decide(END, seen=Glimpse(0.99, 0.5, None))) for _ in range(20)}
+    atoms = {key(planner.decide(END, target=TargetEstimate(0.99, 0.5, None))) for _ in range(20)}
     assert atoms == {Atom.LEFT}
 
 
@@ -305,7 +307,7 @@ def test_robot_reports_not_here_when_no_way_leads_on() -> None:
     end = belief((50, 0.0, 0.0, 0.0))
     other = belief((70, 0.0, 0.0, 0.0))
     for _ in range(200):
-        planner.decide(other if planner.arrived else end, seen=Glimpse(0.0, 0.0))
+        planner.decide(other if planner.arrived else end, target=TargetEstimate(0.0, 0.0))
     assert planner.said == "not_here"
 
 
@@ -489,7 +491,7 @@ def test_robot_approaches_a_target_at_a_second_end() -> None:
     ways = (((50, 51), (0.0, 0.0, 0.0)), ((10, 61), (0.0, 0.0, 0.0)), ((61, 10), (0.0, 0.0, 0.0)))
     planner = Planner(map_of(5.0, 9.0, stitches=ways))
     for _ in range(200):
-        planner.decide(belief((50, 0.0, 0.0, 0.0)), seen=Glimpse(0.99, 0.5, 0.0))
+        planner.decide(belief((50, 0.0, 0.0, 0.0)), target=TargetEstimate(0.99, 0.5, 0.0))
     assert (planner.arrived, planner.said) == (False, None)
     beside = belief((136, 0.0, 0.0, 0.0))
-    assert planner.decide(beside, seen=Glimpse(0.99, 0.9, 0.2)).kind == "search"
+    assert planner.decide(beside, target=TargetEstimate(0.99, 0.9, 0.2)).kind == "search"

@@ -13,7 +13,7 @@ from smal.evaluation.ground_truth import Judgement
 from smal.evaluation.precision_recall import PrecisionRecall, bootstrap
 from smal.features import Centering, FeatureSettings, extract, select
 from smal.features.modalities import MODALITY_NAMES
-from smal.obstacles.strange import Ground
+from smal.obstacles.ground import Ground
 from smal.paper.action_space import learn_action_space
 from smal.paper.learning import LearningSettings, learn
 from smal.paper.objective import s1_norm

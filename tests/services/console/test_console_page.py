@@ -193,8 +193,10 @@ def test_page_draws_course_and_obstacles_over_the_picture(
 
     def drawn(x: int, y: int) -> list[int]:
         board.put("robot", told | {"at": board.clock()})
-        live._sight.roll(odometry_message(frame, OdometryReading(0.0, 0.0, 0.0, 2.0, 0.0)))
-        live._sight.see(depth_message(frame, measured, MOUNT))
+        live._obstacles.store_odometry(
+            odometry_message(frame, OdometryReading(0.0, 0.0, 0.0, 2.0, 0.0))
+        )
+        live._obstacles.store_depth(depth_message(frame, measured, MOUNT))
         live._on_image(picture)
         script = f"[...document.querySelector('#camera canvas').getContext('2d').getImageData({x}, {y}, 1, 1).data]"
         return run_in(page, script)[:3]

@@ -115,7 +115,7 @@ def decided(path: Path, model: Model) -> list[tuple[Velocity, str, smal.Belief]]
         image = decode_image(bytes(recorded.images[tick]))
         robot.step(image, recorded.odometry[tick].pose, elapsed_s)
         last_ns = stamps[tick]
-        decisions.append((Velocity(*robot.made), robot.decision.kind, robot.belief))
+        decisions.append((Velocity(*robot.executed), robot.decision.kind, robot.belief))
     return decisions
 
 

@@ -11,7 +11,7 @@ from smal.movement import Atom
 from smal.obstacles.clearance import Surroundings
 from smal.planning import Decision, Planner
 from smal.planning.config import PLANNER_CONFIG
-from smal.sought.witness import Glimpse
+from smal.target.detector import TargetEstimate
 from tests.smal.depth_world import MOUNT, Box, depth, touches
 from tests.smal.test_planning import belief, map_of
 
@@ -118,7 +118,7 @@ def test_new_obstacle_is_not_the_target(robot: str) -> None:
         planner = Planner(taught)
         made = looks(*[before] * 4, *[thing] * 3)
         for _ in range(100):
-            planner.decide(end, seen=Glimpse(0.999, 1.1, 0.0), around=made)
+            planner.decide(end, target=TargetEstimate(0.999, 1.1, 0.0), around=made)
         assert planner.said == said
 
 
@@ -127,11 +127,11 @@ def test_robot_waits_when_a_person_hides_the_target() -> None:
     person: list[Box] = [(1.2, -0.3, 1.6, 0.3, 1.7)]
     end = belief((160, 0.0, 0.0, 0.0))
     hidden = looks([], [], [], [], *[person] * 3)
-    waits = [planner.decide(end, seen=Glimpse(0.1, 0.0), around=hidden) for _ in range(40)]
+    waits = [planner.decide(end, target=TargetEstimate(0.1, 0.0), around=hidden) for _ in range(40)]
     assert {decision.motion for decision in waits[1:]} == {(0.0, 0.0)}
     assert planner.said is None
-    planner.decide(end, 0.5, seen=Glimpse(0.99, 1.1, 0.0), around=looks([]))
-    planner.decide(end, 0.5, seen=Glimpse(0.99, 1.1, 0.0), around=looks([]))
+    planner.decide(end, 0.5, target=TargetEstimate(0.99, 1.1, 0.0), around=looks([]))
+    planner.decide(end, 0.5, target=TargetEstimate(0.99, 1.1, 0.0), around=looks([]))
     assert planner.said == "found"
 
 
@@ -141,7 +141,7 @@ def test_search_ends_when_a_thing_stands_before_the_target() -> None:
     assert made.free_m(ahead=True) == 0.0
     end = belief((160, 0.0, 0.0, 0.0))
     decisions = [
-        planner.decide(end, seen=Glimpse(0.999, 0.3, 0.0), around=made) for _ in range(150)
+        planner.decide(end, target=TargetEstimate(0.999, 0.3, 0.0), around=made) for _ in range(150)
     ]
     assert (decisions[0].kind, decisions[-1].kind, planner.said) == ("blocked", "goal", "not_here")
 

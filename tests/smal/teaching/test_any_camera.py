@@ -8,7 +8,7 @@ import pytest
 
 from smal.camera import Camera
 from smal.model import Model
-from smal.obstacles.strange import colours_of, patches
+from smal.obstacles.ground import colours_of, patches
 from smal.robot import Robot
 from smal.teaching.mapping import fit
 from tests.smal.synthetic_world import COLOR, Room, drive
@@ -34,7 +34,7 @@ def test_robot_keeps_its_place_when_the_field_is(field_deg: float) -> None:
         robot.step(ROOM.look(pose, camera=model.mapped.taught_scene.camera), pose.tolist())
         assert not robot.belief.is_lost
         assert robot.decision.kind != "blocked"
-        robot.made = robot.decision.motion
+        robot.executed = robot.decision.motion
     key = model.mapped.keyframes[robot.belief.keyframes[0]]
     assert abs(int(key) - len(WAY.poses)) < 10
 

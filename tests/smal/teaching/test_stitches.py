@@ -14,7 +14,7 @@ from smal.filter import Belief, Filter
 from smal.map import VisualMap, in_common_axes
 from smal.movement import placed, seen_from
 from smal.planning import Planner
-from smal.sought.witness import Glimpse
+from smal.target.detector import TargetEstimate
 from smal.teaching.stitches import stitched
 from tests.smal.synthetic_world import SCENE, START, Room, drive, driven, taught
 
@@ -166,7 +166,11 @@ def test_next_end_is_tried_when_the_target_is_not_at_one() -> None:
         end = np.flatnonzero(visual_map.key_drives == number)[-1:]
         return Belief(end, np.zeros((1, 3)), np.ones(1), 0.0, 0.9, 3.0)
 
-    kinds = [planner.decide(at_end(0), seen=Glimpse(0.0, near=0.0)).kind for _ in range(150)]
+    kinds = [
+        planner.decide(at_end(0), target=TargetEstimate(0.0, near=0.0)).kind for _ in range(150)
+    ]
     assert (kinds[0], kinds[-1], planner.said) == ("search", "follow", None)
-    kinds = [planner.decide(at_end(1), seen=Glimpse(0.0, near=0.0)).kind for _ in range(150)]
+    kinds = [
+        planner.decide(at_end(1), target=TargetEstimate(0.0, near=0.0)).kind for _ in range(150)
+    ]
     assert (kinds[0], kinds[-1], planner.said) == ("search", "goal", "not_here")

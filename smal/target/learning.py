@@ -19,10 +19,10 @@ from smal.features.cells import NUMBERS, cells_of, nearest
 from smal.features.detectors import Detection
 from smal.features.extraction import in_parallel
 from smal.features.resizing import SHAPE
-from smal.sought.distance import Distance
-from smal.sought.evidence import ScoreEvidence
-from smal.sought.sight import SIZES, TARGET_CONFIG, Compared, Sight, lower_quantile
-from smal.sought.word import Word, area, best
+from smal.target.appearance import SIZES, TARGET_CONFIG, Compared, TargetAppearance, lower_quantile
+from smal.target.distance import Distance
+from smal.target.evidence import ScoreEvidence
+from smal.target.label import TargetLabel, area, best
 
 #: Left, top, right, bottom: shares of a view's width and height.
 Box = tuple[float, float, float, float]
@@ -107,7 +107,7 @@ class _Way:
         return lower_quantile(distances, TARGET_CONFIG.known)
 
 
-def learn_sight(drives: Sequence[Taught]) -> Sight | None:
+def learn_appearance(drives: Sequence[Taught]) -> TargetAppearance | None:
     """Learn the target at the ends of some drives; None if nothing there stands out from their ways."""
     way = _Way(drives)
     patches = _tracked(drives, way) if len(way.cells) >= 4 else []
@@ -136,7 +136,7 @@ def learn_sight(drives: Sequence[Taught]) -> Sight | None:
     distance = Distance.fit(left_s, sizes, lows, TARGET_CONFIG.end_s)
     unlike = max(each.unlike for each in elsewhere)
     codes = target.astype(np.float16), others.astype(np.float16)
-    return Sight(*codes, windows, unlike, evidence, distance)
+    return TargetAppearance(*codes, windows, unlike, evidence, distance)
 
 
 def _tracked(drives: Sequence[Taught], way: _Way) -> list[_Patch]:
@@ -149,27 +149,27 @@ def _tracked(drives: Sequence[Taught], way: _Way) -> list[_Patch]:
     return _lasting([patches[k] for k in evenly(len(patches), _VIEWS)])
 
 
-def learn_word(drives: Sequence[Taught]) -> Word | None:
+def learn_label(drives: Sequence[Taught]) -> TargetLabel | None:
     """Learn the label that detectors find at the ends of drives and not on their ways; None without any.
 
     Of several labels, the last views decide, in the drawn box if any; then the size.
     """
     last = [found for one in drives for found in _last_detections(one)]
-    words = [
-        _word(label, evidence, [found for found in last if found.label == label])
+    labels = [
+        _calibrated(label, evidence, [found for found in last if found.label == label])
         for label in sorted({found.label for found in last})
         if (evidence := _evidence_of(label, drives)) is not None
     ]
-    return max(words, key=lambda each: each[:2])[2] if words else None
+    return max(labels, key=lambda each: each[:2])[2] if labels else None
 
 
-def _word(
+def _calibrated(
     label: str, evidence: ScoreEvidence, last: Sequence[Detection]
-) -> tuple[float, float, Word]:
-    """Return the evidence of the last detections of a label, their largest size, and its word."""
-    told = float(np.sum([evidence.log_ratio(found.score) for found in last]))
+) -> tuple[float, float, TargetLabel]:
+    """Return the evidence of the last detections of a label, their largest size, and the label."""
+    total = float(np.sum([evidence.log_ratio(found.score) for found in last]))
     size = max(area(found) for found in last)
-    return told, size, Word(label, size, evidence)
+    return total, size, TargetLabel(label, size, evidence)
 
 
 def _evidence_of(label: str, drives: Sequence[Taught]) -> ScoreEvidence | None:

@@ -9,7 +9,7 @@ from smal.obstacles.clearance import Mount, Surroundings
 from smal.robot import surroundings
 
 
-class ObstacleSight:
+class ObstacleMemory:
     """Surroundings of one episode, from odometry, and from depth images with a mounting."""
 
     def __init__(self) -> None:
@@ -20,11 +20,11 @@ class ObstacleSight:
         self._around: Surroundings | None = None
         self._stamp_ns = 0  # Stamp of the odometry at the last look.
 
-    def roll(self, odometry: Odometry) -> None:
+    def store_odometry(self, odometry: Odometry) -> None:
         """Store the pose by odometry."""
         self._odometry = odometry
 
-    def see(self, depth: DepthImage) -> None:
+    def store_depth(self, depth: DepthImage) -> None:
         """Store a depth image."""
         self._depth = depth
 

@@ -60,16 +60,16 @@ class Ground:
     #: (k, n, 3) of some cells of each keyframe.
     colours: Uint8s
     #: Distance of colours from which a patch is unexpected.
-    strange: float
+    threshold: float
 
     def __post_init__(self) -> None:
         """Raise ValueError if the parts do not fit together: they can come from a file."""
         colours = self.colours
         shaped = colours.dtype == np.uint8 and colours.ndim == 3 and colours.shape[2] == 3
-        if not (shaped and colours.shape[1] > 0 and 0.0 < self.strange < 10.0):
+        if not (shaped and colours.shape[1] > 0 and 0.0 < self.threshold < 10.0):
             raise ValueError("the parts of the ground do not fit together")
 
-    def strange_m(
+    def unexpected(
         self, picture: Image, keyframes: Indices, way: Floats, mapped: VisualMap
     ) -> float:
         """Return the distance to the first unexpected ground along a way (s, 2), or infinity.
@@ -84,7 +84,7 @@ class Ground:
         mapped : VisualMap
         """
         along, score = patches(picture, self.colours[keyframes], way, mapped)
-        return float(along[score > self.strange].min(initial=math.inf))
+        return float(along[score > self.threshold].min(initial=math.inf))
 
 
 def swept(speed: float) -> Floats:

@@ -18,8 +18,8 @@ from smal.arrays import AnyArray, Float32s, Int32s
 from smal.camera import Image
 from smal.features.cells import NUMBERS, cells_of, nearest
 from smal.features.resizing import SHAPE
-from smal.sought.distance import Distance
-from smal.sought.evidence import ScoreEvidence, Sighting
+from smal.target.distance import Distance
+from smal.target.evidence import ScoreEvidence, Sighting
 
 #: Number of window sizes.
 SIZES: Final = 4
@@ -128,7 +128,7 @@ class Extent(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class TargetAppearance:
     """Codes of the target and of everything else, and the calibration of score and distance."""
 
     #: Cells (n, 27) of the target.
@@ -185,27 +185,32 @@ def _sums(cells: Float32s, rows: int, columns: int) -> NDArray[np.float64]:
     return np.asarray(below - above)
 
 
-def content_of_sights(
-    sights: Mapping[str, Sight],
+def content_of_appearances(
+    appearances: Mapping[str, TargetAppearance],
 ) -> tuple[list[dict[str, Any]], dict[str, AnyArray]]:
-    """Return the metadata and the arrays of the sights of goals."""
+    """Return the metadata and the arrays of the appearances of goals."""
     meta = []
     arrays = dict[str, AnyArray]()
-    for number, (goal, sight) in enumerate(sights.items()):
-        calibration = {"evidence": asdict(sight.evidence), "distance": asdict(sight.distance)}
-        meta.append({"goal": goal, "unlike": sight.unlike} | calibration)
-        arrays |= {f"{name} {number}": getattr(sight, name) for name in _ARRAYS}
+    for number, (goal, appearance) in enumerate(appearances.items()):
+        calibration = {
+            "evidence": asdict(appearance.evidence),
+            "distance": asdict(appearance.distance),
+        }
+        meta.append({"goal": goal, "unlike": appearance.unlike} | calibration)
+        arrays |= {f"{name} {number}": getattr(appearance, name) for name in _ARRAYS}
     return meta, arrays
 
 
-def sights_of_content(meta: list[dict[str, Any]], arrays: dict[str, AnyArray]) -> dict[str, Sight]:
-    """Build the sights of goals from a file; LookupError, TypeError or ValueError if the content is invalid."""
-    sights = {}
+def appearances_of_content(
+    meta: list[dict[str, Any]], arrays: dict[str, AnyArray]
+) -> dict[str, TargetAppearance]:
+    """Build the appearances of goals from a file; LookupError, TypeError or ValueError if the content is invalid."""
+    appearances = {}
     for number, part in enumerate(meta):
         parts = {name: arrays.pop(f"{name} {number}") for name in _ARRAYS}
         evidence = ScoreEvidence(**part["evidence"])
         distance = Distance(**part["distance"])
-        sights[str(part["goal"])] = Sight(
+        appearances[str(part["goal"])] = TargetAppearance(
             unlike=part["unlike"], evidence=evidence, distance=distance, **parts
         )
-    return sights
+    return appearances

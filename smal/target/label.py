@@ -1,6 +1,6 @@
 """Detections of the target: the label that a detector finds at the ends of drives and nowhere else.
 
-The score of a detector is calibrated like the appearance (`smal.sought.evidence`), on the approach
+The score of a detector is calibrated like the appearance (`smal.target.evidence`), on the approach
 and on views of the way. A detector that finds its object everywhere gives no evidence.
 """
 
@@ -10,14 +10,14 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from smal.features.detectors import LONGEST, Detection
-from smal.sought.evidence import NOTHING, ScoreEvidence, Sighting
+from smal.target.evidence import NOTHING, ScoreEvidence, Sighting
 
 #: Relative error of the size of a box: a network's box can be cut by the edge of the view.
 _SIZE_ERROR: Final = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Word:
+class TargetLabel:
     """Label of the target, and the calibration of its score."""
 
     label: str
@@ -58,14 +58,16 @@ def best(detections: Iterable[Detection], label: str) -> tuple[float, Detection 
     return max(scores, key=lambda scored: scored[0], default=(0.0, None))
 
 
-def content_of_words(words: Mapping[str, Word]) -> list[dict[str, Any]]:
-    """Return the metadata of the words of goals."""
-    return [{"goal": goal} | asdict(word) for goal, word in words.items()]
+def content_of_labels(labels: Mapping[str, TargetLabel]) -> list[dict[str, Any]]:
+    """Return the metadata of the labels of goals."""
+    return [{"goal": goal} | asdict(label) for goal, label in labels.items()]
 
 
-def words_of_content(meta: Sequence[dict[str, Any]]) -> dict[str, Word]:
-    """Build the words of goals from a file; LookupError, TypeError or ValueError if the content is invalid."""
+def labels_of_content(meta: Sequence[dict[str, Any]]) -> dict[str, TargetLabel]:
+    """Build the labels of goals from a file; LookupError, TypeError or ValueError if the content is invalid."""
     return {
-        str(part["goal"]): Word(part["label"], part["size"], ScoreEvidence(**part["evidence"]))
+        str(part["goal"]): TargetLabel(
+            part["label"], part["size"], ScoreEvidence(**part["evidence"])
+        )
         for part in meta
     }

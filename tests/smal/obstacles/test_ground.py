@@ -10,7 +10,7 @@ import pytest
 
 from smal import Model, Robot, fit
 from smal.camera import Camera, Image
-from smal.obstacles.strange import Ground, extreme
+from smal.obstacles.ground import Ground, extreme
 from tests import corridor
 
 BOX = (214, 120, 40)
@@ -57,7 +57,7 @@ def driven(watches: bool, box_m: float | None) -> tuple[Robot, list[tuple[str, f
         did.append((robot.decision.kind, robot.decision.motion[0]))
         if robot.done:
             break
-        linear, angular = robot.made = robot.decision.motion
+        linear, angular = robot.executed = robot.decision.motion
         heading = here[2] + angular * model().mapped.turn_rad
         ahead = linear * corridor.STEP_M
         here = here[0] + ahead * math.cos(heading), here[1] + ahead * math.sin(heading), heading

@@ -14,8 +14,8 @@ from smal.features import FeatureSettings
 from smal.features.detectors import Detection, qr_codes
 from smal.features.extraction import detect
 from smal.files.container import ModelError
-from smal.sought.learning import Taught, learn_word
-from smal.sought.witness import Witness
+from smal.target.detector import TargetDetector
+from smal.target.learning import Taught, learn_label
 from tests import corridor
 
 TAGS = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
@@ -59,11 +59,11 @@ def model() -> Model:
 def test_robot_finds_its_tag_and_no_other(
     tmp_path: Path,
 ) -> None:
-    assert model().words["victim"].label == f"apriltag {AT_END}"
+    assert model().labels["victim"].label == f"apriltag {AT_END}"
     model().save(tmp_path / "way.smal")
     for number, said in ((AT_END, "found"), (OTHER, "not_here")):
         # By the tag alone: at 80 x 60 pixels two tags look much the same.
-        robot = Robot(replace(Model.load(tmp_path / "way.smal"), sights={}))
+        robot = Robot(replace(Model.load(tmp_path / "way.smal"), appearances={}))
         here = (2.4, 0.1, 0.0)
         for _ in range(250):
             here = corridor.moved(here, robot.step(view(here, (number, 5.5, 0.0)), here))
@@ -74,28 +74,28 @@ def test_robot_finds_its_tag_and_no_other(
 
 def test_a_tag_adds_to_how_its_place_looks() -> None:
     at_end = corridor.pose(corridor.FRAMES)
-    sight = model().sights.get("victim")
-    word = model().words["victim"]
+    appearance = model().appearances.get("victim")
+    label = model().labels["victim"]
     pictures = [view(at_end, (number, 5.5, 0.0)) for number in (AT_END, OTHER)]
     small = [cv2.resize(one, (80, 60), interpolation=cv2.INTER_AREA) for one in pictures]
     right, wrong = (
-        Witness(sight, word).observe(one, 0.0, detect(two, READS))
+        TargetDetector(appearance, label).observe(one, 0.0, detect(two, READS))
         for one, two in zip(small, pictures, strict=True)
     )
     assert right.probability > 0.99
     assert right.near == pytest.approx(1.0, abs=0.1)
-    assert wrong.probability < Witness(sight).observe(small[1]).probability
+    assert wrong.probability < TargetDetector(appearance).observe(small[1]).probability
     hidden = np.full_like(small[0], 30)
-    assert Witness(sight, word).observe(hidden) == Witness(sight).observe(hidden), (
-        "a hidden view is no evidence"
-    )
+    assert TargetDetector(appearance, label).observe(hidden) == TargetDetector(appearance).observe(
+        hidden
+    ), "a hidden view is no evidence"
 
 
-def test_a_label_is_sought_only_if_it_tells_the_end_from_the_way() -> None:
+def test_label_counts_only_when_it_distinguishes_the_end() -> None:
     box = (0.4, 0.4, 0.6, 0.6)
 
     def learned(*ends: str, scores: float = 1.0, way: float = 0.0) -> str | None:
-        """Return what is sought where drives end before things that score on the way, too."""
+        """Return the target of drives whose final objects also score on the way."""
         each = [
             [Detection(one, scores if near else way, box) for one in ends]
             for near in [False] * 20 + [True] * 4
@@ -106,8 +106,8 @@ def test_a_label_is_sought_only_if_it_tells_the_end_from_the_way() -> None:
             ends=True,
             detected=each,
         )
-        word = learn_word([drive])
-        return None if word is None else word.label
+        label = learn_label([drive])
+        return None if label is None else label.label
 
     assert learned("boxes 3") == "boxes 3"
     assert learned("boxes 3", scores=0.3) == "boxes 3", "no threshold is typed in"
@@ -170,9 +170,9 @@ def test_network_draws_boxes_or_is_refused_in_one_line(tmp_path: Path) -> None:
 
 
 def test_file_is_refused_when_its_detector_does_not_fit(tmp_path: Path) -> None:
-    harmed = replace(model().words["victim"])
+    harmed = replace(model().labels["victim"])
     vars(harmed)["size"] = -1.0
-    replace(model(), words={"victim": harmed}).save(tmp_path / "way.smal")
+    replace(model(), labels={"victim": harmed}).save(tmp_path / "way.smal")
     with pytest.raises(
         ModelError, match="the detector's calibration do not fit together: 'apriltag 7'"
     ):
