@@ -145,8 +145,8 @@ class ConsoleService:
     def _resumes_by_key(self) -> bool:
         """Whether a new key press resumes: a busy computer misses its operator without any danger."""
         report = self._operator.report
-        simulated = self.live.health.detail("robot", "attended") is False
-        return simulated and report.cause == "operator_lost" and not self._operator.asking
+        lost = self.live.health.unattended and report.cause == "operator_lost"
+        return lost and not self._operator.asking
 
     def let_go(self) -> None:
         """Handle the loss of the driver: the robot misses them, and stops."""
@@ -318,7 +318,7 @@ class ConsoleService:
     def _bridges(self) -> bool:
         """Whether the console answers for a slow browser, since the robot can move unattended."""
         # An attended robot needs the operator's own answers, with their own times.
-        return self.attended and self.live.health.detail("robot", "attended") is False
+        return self.attended and self.live.health.unattended
 
     def _on_action(self, action: Action) -> None:
         self.live.on_action(action)

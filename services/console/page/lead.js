@@ -13,23 +13,23 @@ const GUIDE = {
 };
 
 /** Trouble of the link or the robot, as [level, text]; it precedes everything else. */
-function trouble({ link, robot, age, ill, simulated }) {
+function trouble({ link, robot, age, ill, unattended }) {
   if (link) return ["bad", link];
   if (robot?.waiting) return null;
   const silent = age === null ? "" : ` for ${seconds(age)}`;
   if (!robot?.answers) return ["old", `The robot does not answer${silent}${ill ? `: ${ill}` : ""}`];
   if (robot.emergency) return ["bad", CAUSES.emergency_stop];
   if (robot.episode && age > SILENT_S) return ["old", `No sign of the robot${silent}`];
-  if (simulated && robot.cause === "operator_lost") return robot.episode ? ["warn", MISSED] : null;
+  if (unattended && robot.cause === "operator_lost") return robot.episode ? ["warn", MISSED] : null;
   // A drive or a run arms the robot, so between episodes these stops are no trouble.
   const releases = !robot.episode && ["not_armed", "operator_lost"].includes(robot.cause);
   return robot.cause && !releases ? ["bad", CAUSES[robot.cause]] : null;
 }
 
 /** Sentence about the running episode, as [level, text]. */
-function now({ robot, sits, taken, simulated, frames_hz, plan }) {
+function now({ robot, sits, taken, unattended, frames_hz, plan }) {
   const hand = robot.driver === "teleop", rate = robot.tick / robot.seconds;
-  if (simulated && robot.seconds > SETTLED_S && rate < SLOW * frames_hz) return ["warn", tooSlow(rate, frames_hz)];
+  if (unattended && robot.seconds > SETTLED_S && rate < SLOW * frames_hz) return ["warn", tooSlow(rate, frames_hz)];
   const stands = hand && robot.reason === "silence";
   if (REASONS[robot.reason] && !stands) return REASONS[robot.reason];
   if (hand && sits) return ["good", `Drive to ${robot.goal}, then press “Found”`];
