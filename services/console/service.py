@@ -189,12 +189,12 @@ class ConsoleService:
                 self.library.rename(ask.file, ask.name)
                 self._say(f"{ask.file} is called {ask.name} now")
 
-    def make_world(self, name: str, osm_map: IO[bytes]) -> None:
+    def make_world(self, name: str, upload: IO[bytes]) -> None:
         """Start the conversion of a map or a scan to a world."""
         if name in str(self.live.health.detail("robot", "worlds")).split(", "):
             # Included worlds and the world of the start take precedence over an equal name.
             raise ServiceError(f"world {name} already exists; rename the file")
-        path = f"/proc/self/fd/{osm_map.fileno()}"
+        path = f"/proc/self/fd/{upload.fileno()}"
         job = BackgroundJob(
             "world",
             name,
@@ -204,7 +204,7 @@ class ConsoleService:
             out=below(self.library.root, f"{WORLDS}/{name}.json"),
             hidden=path,
             called=name,
-            reads=osm_map,
+            reads=upload,
         )
         self._jobs.begin(job)
 

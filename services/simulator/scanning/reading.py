@@ -18,13 +18,13 @@ from trimesh.visual import ColorVisuals
 from trimesh.visual.material import Material
 
 from schemas.codec import printable
+from services.kit.world_files import scan_format
 from services.simulator.scanning.faces import PartFaces
 from services.simulator.scanning.mesh_file import ScanPart
 from services.simulator.world.place import WorldError
-from services.simulator.world.scan import SUFFIXES
 
-#: Metres of the units that files have, in the order in which they are tried.
-UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+# Metres of the units that files have, in the order in which they are tried.
+_UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 # Axes that become x, y and z, for each up axis: rows of a rotation.
 _ROTATIONS: Final = {
     "x": ((0, 1, 0), (0, 0, 1), (1, 0, 0)), "-x": ((0, 1, 0), (0, 0, -1), (-1, 0, 0)),
@@ -88,7 +88,9 @@ def read_scan(source: Path, scale: float | None = None, up: str | None = None) -
     WorldError
         The file is not a usable mesh.
     """
-    kind = _kind(source)
+    kind = scan_format(source)
+    if kind is None:
+        raise WorldError("unsupported; a scan is a .glb, .gltf, .obj or .ply file")
     try:
         parts, faces, untextured, notes = _parts(source, kind)
     except (OSError, SyntaxError, ValueError) as error:  # As Pillow raises them.
@@ -124,14 +126,6 @@ def _parts(
     areas = np.array([one.areas.sum() for one in faces])
     plain = [not paint.textured for paint in paints]
     return parts, faces, float(areas[plain].sum() / areas.sum()), notes
-
-
-def _kind(source: Path) -> str:
-    """Return the format: by the file name, or of an upload without a name by its first bytes."""
-    if source.suffix.lower() in SUFFIXES:
-        return source.suffix.lower()[1:]
-    with source.open("rb") as file:
-        return "ply" if file.read(4).startswith(b"ply") else "glb"
 
 
 def _meshes(source: Path, kind: str) -> Iterator[tuple[trimesh.Trimesh, PartFaces]]:
@@ -336,7 +330,7 @@ def _scale(
     up = "xyz".index(axis[-1])
     plan = np.delete(size, up)
     unit, why = _unit(_storey(faces, axis), float(plan.max()), float(size[up]), metric=metric)
-    scale = wish or UNITS[unit]
+    scale = wish or _UNITS[unit]
     return scale, ("unit", f"{scale:g} m ({'given' if wish else why})")
 
 
@@ -346,12 +340,12 @@ def _unit(storey: float | None, extent: float, height: float, *, metric: bool) -
     if storey is not None:
         if metric and _METRES_STOREY_M[0] <= storey <= _METRES_STOREY_M[1]:
             return "m", "as glTF defines; --scale METRES sets it"
-        for unit, metres in UNITS.items():
+        for unit, metres in _UNITS.items():
             if _STOREY_M[0] <= storey * metres <= _STOREY_M[1]:
                 return unit, f"{detected}: a storey of {storey * metres:.1f} m"
     for unit in ("m", "cm", "mm"):
-        low = unit == "m" or height * UNITS[unit] <= _HEIGHT_M
-        if low and _EXTENT_M[0] <= extent * UNITS[unit] <= _EXTENT_M[1]:
+        low = unit == "m" or height * _UNITS[unit] <= _HEIGHT_M
+        if low and _EXTENT_M[0] <= extent * _UNITS[unit] <= _EXTENT_M[1]:
             return unit, "assumed from the extent; --scale METRES sets it"
     raise WorldError(
         f"its extent of {extent:g} fits no unit; give --scale METRES, the length of a unit of the file"

@@ -7,7 +7,6 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from services.simulator.robots import TURTLEBOT
 from services.simulator.scanning.mesh_file import ScanPart, read_parts
 from services.simulator.scene import bodies
 from services.simulator.scene.meshes import Mesh, make
@@ -33,15 +32,13 @@ _HALF_DOOR_M: Final = 0.55
 # differs from the day of the scan.
 _LAMPS: Final = 0.15
 _COLOUR: Final = 0.06
-_GAMMA: Final = 2.2  # Of the shader: pictures are gamma-encoded.
+_GAMMA: Final = 2.2  # Gamma of the encoded pictures, as in the shader.
 
 
 def build(scan: ScannedPlace, light: Daylight) -> SceneSurfaces:
     """Build the tiles of a scan; raises WorldError for a damaged mesh file."""
     victim, decoys = (
-        ("nao", bodies.INDOOR_DECOYS)
-        if scan.robot is TURTLEBOT
-        else ("person", bodies.OUTDOOR_DECOYS)
+        ("nao", bodies.INDOOR_DECOYS) if scan.robot.indoor else ("person", bodies.OUTDOOR_DECOYS)
     )
     return SceneSurfaces(
         *(outdoor_light(light) if scan.sky else indoor_light(light)),
