@@ -90,7 +90,6 @@ function drawLead() {
   $("#stop").setAttribute("aria-pressed", String(Boolean(robot?.emergency || robot?.cause === "emergency_stop")));
   if (robot?.episode && document.body.dataset.episode !== robot.episode) showNews("");
   document.body.dataset.episode = robot?.episode ?? "";
-  document.body.dataset.outcome = robot?.outcome ?? "";
   say($("#episode"), episodeFacts(robot));
   drawCameraAge(Boolean(robot?.episode));
 }
