@@ -174,13 +174,14 @@ class LookReply(Strict):
 #: Kinds of a ground plan's shapes, from the lowest.
 PlanKind = Literal["ground", "water", "street", "solid"]
 MOST_SHAPES: Final = 3000  # Maximum number of a ground plan's shapes.
+MOST_POINTS: Final = 1000  # Maximum number of a shape's points.
 
 
 class PlanShape(Strict):
     """Shape of a ground plan: a filled outline, or a line."""
 
     kind: PlanKind
-    points: Annotated[tuple[_Point, ...], Field(max_length=1000)]
+    points: Annotated[tuple[_Point, ...], Field(max_length=MOST_POINTS)]
     filled: bool
 
 

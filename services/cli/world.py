@@ -23,12 +23,13 @@ from services.experiments.html import png
 from services.experiments.progress import bar_of
 from services.experiments.words import counted, table
 from services.kit.errors import UsageError
+from services.kit.world_files import scan_format
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.world import Pose, World, WorldError
 from services.simulator.world.loading import RoleWishes, Wishes, bounded, import_map
 from services.simulator.world.osm import MapSurroundings
 from services.simulator.world.route import lane_graph, plan_route, route_length_m
-from services.simulator.world.scan import MESH_SUFFIX, Axis, RobotName, is_scan, scan_text
+from services.simulator.world.scan import MESH_SUFFIX, Axis, RobotName, scan_text
 from services.simulator.world.terrain import Terrain
 from smal.files.confined import ConfinedError, Work
 from smal.files.container import write_whole
@@ -130,7 +131,7 @@ def import_world(
     request: dict[str, Any] = {"source": str(source), "out": str(out)}
     with ExitStack() as files:
         request["file"] = files.enter_context(outputs.writing(out, "--out")).name
-        if is_scan(source):
+        if scan_format(source) is not None:
             _refuse("a scan", {"--around": around, "--radius": radius})
             request["wishes"] = _scan_wishes(task, scale, up, floor, robot, step)
             mesh = outputs.writing(out.with_suffix(MESH_SUFFIX), "--out")

@@ -15,7 +15,7 @@ from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 COOKIE: Final = "smal_console"
-MAP: Final = "/map"  # Path for map uploads.
+MAP: Final = "/map"  # Path for uploads of maps and scans.
 _LOOPBACK: Final = frozenset({"localhost", "127.0.0.1", "[::1]"})
 _PORT: Final = re.compile(r":\d{1,5}\Z")
 #: The browser runs, displays and connects to content of this server only, and never parses text as

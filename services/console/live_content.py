@@ -82,6 +82,11 @@ class Health:
         status = self.statuses.get(service)
         return None if status is None else status.detail.get(key)
 
+    @property
+    def unattended(self) -> bool:
+        """Whether the robot moves without an operator, as in simulation."""
+        return self.detail("robot", "attended") is False
+
     def _status(self, service: str) -> Status | None:
         try:
             return self.bus.call(service, "status", Nothing(), Status, _ANSWER_S, patience_s=0.0)
@@ -102,7 +107,8 @@ class LiveContent:
         self._followed: tuple[object, object] = (None, None)
         self._way: list[tuple[float, float]] = []
         self._way_of = ""
-        self._planned: object = None  # World of the shown ground plan.
+        # World and variation of the shown ground plan: a variation moves furniture.
+        self._planned: tuple[object, object] = (None, None)
         self._obstacles = ObstacleMemory()
         self._seen_s = -math.inf  # Time of the last frame.
         node.subscribe(topics.JPEG, self._on_image, depth=1)
@@ -206,7 +212,8 @@ class LiveContent:
         self._board.put(channel, content | {"at": round(self._board.clock(), 3)})
 
     def _look_at_services(self) -> None:
-        self._put("health", services=self.health.ask())
+        services = self.health.ask()
+        self._put("health", services=services, unattended=self.health.unattended)
         folder = self.health.detail("recorder", "folder")
         if folder is not None:
             self._library.folder = name_below(self._library.root, Path(str(folder)))
@@ -215,12 +222,13 @@ class LiveContent:
     def _look_at_world(self) -> None:
         """Show the ground plan of a simulated robot's world."""
         world = self.health.detail("robot", "world")
-        if world == self._planned or self.health.detail("robot", "worlds") is None:
+        here = (world, self.health.detail("robot", "variation"))
+        if here == self._planned or self.health.detail("robot", "worlds") is None:
             return
         with suppress(RpcError):
             plan = self.health.bus.call("robot", "plan", Nothing(), PlanReply)
             self._board.put("ground", plan.model_dump())
-            self._planned = plan.world
+            self._planned = here
 
     def _look_at_files(self) -> None:
         self._board.put(

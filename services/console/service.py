@@ -145,8 +145,8 @@ class ConsoleService:
     def _resumes_by_key(self) -> bool:
         """Whether a new key press resumes: a busy computer misses its operator without any danger."""
         report = self._operator.report
-        simulated = self.live.health.detail("robot", "attended") is False
-        return simulated and report.cause == "operator_lost" and not self._operator.asking
+        lost = self.live.health.unattended and report.cause == "operator_lost"
+        return lost and not self._operator.asking
 
     def let_go(self) -> None:
         """Handle the loss of the driver: the robot misses them, and stops."""
@@ -189,12 +189,12 @@ class ConsoleService:
                 self.library.rename(ask.file, ask.name)
                 self._say(f"{ask.file} is called {ask.name} now")
 
-    def make_world(self, name: str, osm_map: IO[bytes]) -> None:
+    def make_world(self, name: str, upload: IO[bytes]) -> None:
         """Start the conversion of a map or a scan to a world."""
         if name in str(self.live.health.detail("robot", "worlds")).split(", "):
             # Included worlds and the world of the start take precedence over an equal name.
             raise ServiceError(f"world {name} already exists; rename the file")
-        path = f"/proc/self/fd/{osm_map.fileno()}"
+        path = f"/proc/self/fd/{upload.fileno()}"
         job = BackgroundJob(
             "world",
             name,
@@ -204,7 +204,7 @@ class ConsoleService:
             out=below(self.library.root, f"{WORLDS}/{name}.json"),
             hidden=path,
             called=name,
-            reads=osm_map,
+            reads=upload,
         )
         self._jobs.begin(job)
 
@@ -318,7 +318,7 @@ class ConsoleService:
     def _bridges(self) -> bool:
         """Whether the console answers for a slow browser, since the robot can move unattended."""
         # An attended robot needs the operator's own answers, with their own times.
-        return self.attended and self.live.health.detail("robot", "attended") is False
+        return self.attended and self.live.health.unattended
 
     def _on_action(self, action: Action) -> None:
         self.live.on_action(action)

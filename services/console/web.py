@@ -1,4 +1,4 @@
-"""HTTP and WebSocket endpoints of the page: files, pictures, map uploads, watching, driving."""
+"""HTTP and WebSocket endpoints of the page: files, pictures, uploads, watching, driving."""
 
 import asyncio
 import tempfile
@@ -23,6 +23,7 @@ from services.console.guard import MAP
 from services.console.newest_content import Board, FullError
 from services.console.service import ConsoleService
 from services.console.who_drives import BEAT_S, LEASE_S, Seat
+from services.kit.world_files import HEAD_BYTES, largest_upload
 
 PAGE: Final = Path(__file__).parent / "page"
 _APART_S: Final = 0.05  # Minimum interval of updates to a watcher.
@@ -31,8 +32,7 @@ FULL = 4001
 TAKEN = 4002
 NONSENSE = 4003
 _DIGITS: Final = 9  # Maximum digits of a picture's number.
-#: Maximum bytes of a map or scan, and timeout of its upload (2 Mbit/s or more).
-_LARGEST_MAP: Final = 128 << 20
+# Timeout of the upload of a map or scan (2 Mbit/s or more).
 _UPLOAD_S: Final = 600
 _NOT_THEIRS: Final = "permission denied: take control first\n"
 _WORLD_NAME: Final[TypeAdapter[str]] = TypeAdapter(WorldName)
@@ -49,14 +49,14 @@ class Web:
         self._service = service
         self._board = board
         self._seat = Seat(board.clock)
-        self._maps = 0  # Number of started map uploads.
+        self._uploads = 0  # Number of started uploads.
 
     def application(self) -> Starlette:
         """Return the application without access control."""
         return Starlette(
             routes=[
                 Route("/thumbnail", self._thumbnail),
-                Route(MAP, self._take_map, methods=["POST"]),
+                Route(MAP, self._take_upload, methods=["POST"]),
                 Route("/taught/{model}/{keyframe}", self._taught),
                 WebSocketRoute("/watch", self._watch),
                 WebSocketRoute("/drive", self._drive),
@@ -82,8 +82,8 @@ class Web:
             return _picture(None)
         return _picture(learned.image(keyframe))
 
-    async def _take_map(self, request: Request) -> Response:
-        """Receive a map from the driver and start its conversion; the job reports the result."""
+    async def _take_upload(self, request: Request) -> Response:
+        """Receive a map or scan from the driver and start its conversion; the job reports the result."""
         try:
             name = _WORLD_NAME.validate_python(request.query_params.get("name", ""))
         except ValidationError as error:
@@ -92,33 +92,36 @@ class Web:
             return PlainTextResponse(_NOT_THEIRS, 403)
         try:
             # The file has no name, so it is deleted after its last user, however that ends.
-            with tempfile.TemporaryFile() as osm_map:
+            with tempfile.TemporaryFile() as upload:
                 async with asyncio.timeout(_UPLOAD_S):
-                    await self._receive(request, osm_map)
-                await self._do(self._service.make_world, name, osm_map)
+                    await self._receive(request, upload)
+                await self._do(self._service.make_world, name, upload)
         except TimeoutError:
             return PlainTextResponse(f"timeout: the upload took longer than {_UPLOAD_S:g} s\n", 408)
         except ClientDisconnect as gone:
             raise HTTPException(400) from gone
         except OSError as error:
-            return PlainTextResponse(f"map not saved: {error.strerror}\n", 507)
+            return PlainTextResponse(f"upload not saved: {error.strerror}\n", 507)
         return PlainTextResponse("taken\n", 202)
 
     async def _receive(self, request: Request, file: IO[bytes]) -> None:
         """Write an upload to a file while the sender drives and starts no other upload."""
-        self._maps += 1
-        mine = self._maps
+        self._uploads += 1
+        mine = self._uploads
         size = 0
+        head = b""
         word = request.headers.get("smal-seat", "")
         async for chunk in request.stream():
             if not self._seat.knows(word):
                 raise HTTPException(403, _NOT_THEIRS)
-            if mine != self._maps:
+            if mine != self._uploads:
                 raise HTTPException(409, "replaced by a newer upload\n")
             size += len(chunk)
-            if size > _LARGEST_MAP:
+            head = (head + chunk)[:HEAD_BYTES]
+            kind, most = largest_upload(head)
+            if size > most:
                 raise HTTPException(
-                    413, f"file too large (maximum {_LARGEST_MAP / 1e6:.0f} MB); cut it smaller\n"
+                    413, f"{kind} too large (maximum {most / 1e6:.0f} MB); cut it smaller\n"
                 )
             await asyncio.to_thread(file.write, chunk)
         await asyncio.to_thread(file.flush)

@@ -82,7 +82,7 @@ class ImportReport(Strict):
     turn_rate: float
     metric: bool  # Whether these are metres and radians per second; otherwise units of the source.
     atoms: dict[str, int]
-    field_of_view_deg: float | None = None  # Of the camera, if it is calibrated.
+    field_of_view_deg: float | None = None  # None without a calibrated camera.
 
 
 def choose(

@@ -51,6 +51,17 @@ _APPLIED: Final = (
     "reason",
     "refused",
 )
+# Fields of the report that only the start of an episode contains.
+_UNKNOWN: Final = (
+    "purpose",
+    "driver",
+    "goal",
+    "world",
+    "outcome",
+    "right",
+    "seconds",
+    "moved",
+)
 # Number of pulses that can still be answered, with some reserve; they arrive every 0.05 s.
 _PULSES: Final = 16
 #: Period of a repeated emergency stop until the robot reports it; equal to the robot's report
@@ -141,15 +152,16 @@ class Operator:
         self._node.publish(self.commands.handle(applied))
         if applied.episode == self.commands.last_ended:
             return
+        news = {name: getattr(applied, name) for name in _APPLIED}
         if applied.episode != self.report.episode:
             # It began before this process, so its details are unknown.
-            unknown = ("purpose", "driver", "goal", "world", "outcome", "right", "seconds", "moved")
-            self._note(**dict.fromkeys(unknown))
-        if applied.linear and self.report.moved is not None:
-            self._note(moved=True)
-        self._time()
+            news |= dict.fromkeys(_UNKNOWN)
+        else:
+            news["seconds"] = self._seconds()
+            if applied.linear and self.report.moved is not None:
+                news["moved"] = True
         self._note(
-            **{name: getattr(applied, name) for name in _APPLIED},
+            **news,
             cause=applied.stop_cause,
             at=self._heard_s,
             answers=True,
@@ -172,8 +184,7 @@ class Operator:
                 moved=False,
             )
         elif event.event == "ended":
-            self._time()
-            self._note(**told, at=self._clock(), episode=None)
+            self._note(**told, at=self._clock(), episode=None, seconds=self._seconds())
             self._say(f"{named}: {in_words(event.outcome, event.right)} after {event.tick} frames")
             if event.episode == self.mine:
                 self.mine = None
@@ -202,9 +213,9 @@ class Operator:
                 self._note(at=now, answers=True, episode=None, cause=pulse.stop_cause)
             self._node.publish(self.commands.told(pulse.latched_stop))
 
-    def _time(self) -> None:
-        if self.report.seconds is not None:
-            self._note(seconds=round(self._clock() - self._began_s, 1))
+    def _seconds(self) -> float | None:
+        """Return the duration of the running episode; None if its start was not received."""
+        return None if self.report.seconds is None else round(self._clock() - self._began_s, 1)
 
     def _note(self, **news: Any) -> None:  # noqa: ANN401 - of the report's fields
         before = self.report

@@ -1,7 +1,7 @@
 """Any Gymnasium environment with an image observation as a body of the stack."""
 
-import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -58,8 +58,9 @@ class GymnasiumBody(SteppedBody):
         """Take one step; an environment that has ended stays as it is."""
         if not (self._now.reached or self._now.contact):
             observation, reward, ended, _, info = self._env.step(self._act(velocity))
-            end = math.copysign(1.0, float(reward) - 1e-9) if ended else 0.0
-            self._now = self._seen(observation, info, end)
+            reached = bool(ended) and float(reward) > 0
+            contact = bool(ended) and not reached
+            self._now = replace(self._seen(observation, info), reached=reached, contact=contact)
 
     def _nearest(self, velocity: Velocity) -> Atom:
         """Return the nearest atom; the difference is added to the next velocity."""
@@ -68,11 +69,11 @@ class GymnasiumBody(SteppedBody):
         self._owed = self._owed - KEYS[atom]
         return atom
 
-    def _seen(self, observation: object, info: dict[str, Any], end: float = 0.0) -> StepView:
+    def _seen(self, observation: object, info: dict[str, Any]) -> StepView:
         image = np.asarray(observation if self._key is None else observation[self._key])  # type: ignore[index]
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
             raise ServiceError(f"{self.name}: {image.dtype} {image.shape} is not an RGB image")
-        return StepView(image, end < 0, end > 0, pose=info.get("pose"))
+        return StepView(image, pose=info.get("pose"))
 
     def observe(self) -> StepView:
         """Return the view after the last step."""

@@ -236,19 +236,12 @@ class SteppedBody(ABC):
         return {}
 
 
-class SimulatorsTask:
+class SimulatorsTask(Task[StepView]):
     """Task whose goal the simulator judges."""
 
     def reached(self, view: StepView, goal: str) -> bool:
         """Return whether the simulator has reported the goal."""
         return view.reached
-
-    def gone(self, view: StepView, goal: str) -> bool | None:
-        """Return None: the simulator does not report absent goals."""
-        return None
-
-    def told(self, view: StepView, goal: str) -> None:
-        """Ignore the confirmation."""
 
 
 class SteppedSettings(RobotSettings):

@@ -3,10 +3,11 @@
 from collections.abc import Iterator
 from typing import Final
 
+import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from schemas.rpc import MOST_SHAPES, PlanKind, PlanReply, PlanShape
+from schemas.rpc import MOST_POINTS, MOST_SHAPES, PlanKind, PlanReply, PlanShape
 from services.simulator.world.place import World
 from services.simulator.world.terrain import Terrain
 
@@ -18,10 +19,17 @@ def plan_of(world: World) -> PlanReply:
     start = (world.start.x, world.start.y)
     victim = (world.victim.x, world.victim.y)
     task = shapely.LineString([start, victim])
-    drawn = [(kind, part) for kind, shape in _drawn(world) for part in shapely.get_parts(shape)]
+    kinds, whole = zip(*_drawn(world), strict=True)
+    parts, of = shapely.get_parts(np.array(whole), return_index=True)
     # Stable: the ground stays below the things on it.
-    near = sorted(range(len(drawn)), key=lambda k: task.distance(drawn[k][1]))[:MOST_SHAPES]
-    shapes = tuple(_shape(*drawn[k]) for k in sorted(near))
+    near = np.sort(np.argsort(shapely.distance(task, parts), kind="stable")[:MOST_SHAPES])
+    outer = shapely.get_exterior_ring(parts[near])
+    filled = ~shapely.is_missing(outer)
+    lines = shapely.simplify(np.where(filled, outer, parts[near]), _COARSE_M)
+    shapes = tuple(
+        PlanShape(kind=kinds[k], points=_points(line), filled=bool(fill))
+        for k, line, fill in zip(of[near], lines, filled, strict=True)
+    )
     return PlanReply(world=world.name, start=start, victim=victim, shapes=shapes)
 
 
@@ -35,8 +43,5 @@ def _drawn(world: World) -> Iterator[tuple[PlanKind, BaseGeometry]]:
         yield "solid", solid.shape
 
 
-def _shape(kind: PlanKind, geometry: BaseGeometry) -> PlanShape:
-    outer = shapely.get_exterior_ring(geometry)
-    line = shapely.simplify(geometry if outer is None else outer, _COARSE_M)
-    points = tuple((round(x, 1), round(y, 1)) for x, y in shapely.get_coordinates(line)[:1000])
-    return PlanShape(kind=kind, points=points, filled=outer is not None)
+def _points(line: BaseGeometry) -> tuple[tuple[float, float], ...]:
+    return tuple((round(x, 1), round(y, 1)) for x, y in shapely.get_coordinates(line)[:MOST_POINTS])

@@ -56,6 +56,8 @@ class RobotModel:
     climb_m: float  # Height of steps and bumps in a scan's floor that it drives over.
     mass_kg: float
     tag: TagMount | None = None
+    #: Whether its surroundings are rooms: victims, obstacles and distances are smaller there.
+    indoor: bool = False
 
     @property
     def top_m(self) -> float:

@@ -143,7 +143,7 @@ def _odometry(name: str, poses: Any, atoms: Int8s) -> Floats:  # noqa: ANN401 - 
 
 
 def _check_steps(name: str, odometry: Floats) -> None:
-    """Warn if a pose is so far from the pose before that the odometry was reset."""
+    """Warn if the odometry jumps between two poses, as it does after a reset."""
     steps = np.hypot(*np.diff(odometry[:, :2], axis=0).T)
     usual = float(np.quantile(steps[steps > 0.0], _USUAL)) if steps.any() else 0.0
     jumps = np.flatnonzero(steps > _JUMP * usual) + 1

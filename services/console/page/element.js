@@ -29,4 +29,11 @@ export function cleared(canvas, height) {
   return [pen, width];
 }
 
-export const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`);
+const colors = new Map();
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => colors.clear());
+
+/** Colour of the current colour scheme. */
+export function color(name) {
+  if (!colors.has(name)) colors.set(name, getComputedStyle(document.documentElement).getPropertyValue(`--${name}`));
+  return colors.get(name);
+}

@@ -3,6 +3,8 @@
 import { CAUSES, MISSED, OUTCOMES, PLANS, REASONS, jobFacts, jobText, seconds, tooSlow } from "./words.js";
 
 const SILENT_S = 2, SETTLED_S = 5, SLOW = 0.8;
+/** Action that begins each step. */
+const BEGINS = { teach: "drive", learn: "learn", run: "run" };
 /** Plans of a robot that does not get on by itself. */
 const STUCK = ["blind", "blocked", "dead_end", "stop"];
 const RIGHT = { true: ", rightly", false: ", wrongly" };
@@ -12,24 +14,27 @@ const GUIDE = {
   run: "Now let the robot find the way by itself",
 };
 
+const running = (robot) => Boolean(robot?.episode || robot?.waiting);
+const learning = (job) => job?.kind === "model" && !job.outcome;
+
 /** Trouble of the link or the robot, as [level, text]; it precedes everything else. */
-function trouble({ link, robot, age, ill, simulated }) {
+function trouble({ link, robot, age, ill, unattended }) {
   if (link) return ["bad", link];
   if (robot?.waiting) return null;
   const silent = age === null ? "" : ` for ${seconds(age)}`;
   if (!robot?.answers) return ["old", `The robot does not answer${silent}${ill ? `: ${ill}` : ""}`];
   if (robot.emergency) return ["bad", CAUSES.emergency_stop];
   if (robot.episode && age > SILENT_S) return ["old", `No sign of the robot${silent}`];
-  if (simulated && robot.cause === "operator_lost") return robot.episode ? ["warn", MISSED] : null;
+  if (unattended && robot.cause === "operator_lost") return robot.episode ? ["warn", MISSED] : null;
   // A drive or a run arms the robot, so between episodes these stops are no trouble.
   const releases = !robot.episode && ["not_armed", "operator_lost"].includes(robot.cause);
   return robot.cause && !releases ? ["bad", CAUSES[robot.cause]] : null;
 }
 
 /** Sentence about the running episode, as [level, text]. */
-function now({ robot, sits, taken, simulated, frames_hz, plan }) {
+function now({ robot, sits, taken, unattended, frames_hz, plan }) {
   const hand = robot.driver === "teleop", rate = robot.tick / robot.seconds;
-  if (simulated && robot.seconds > SETTLED_S && rate < SLOW * frames_hz) return ["warn", tooSlow(rate, frames_hz)];
+  if (unattended && robot.seconds > SETTLED_S && rate < SLOW * frames_hz) return ["warn", tooSlow(rate, frames_hz)];
   const stands = hand && robot.reason === "silence";
   if (REASONS[robot.reason] && !stands) return REASONS[robot.reason];
   if (hand && sits) return ["good", `Drive to ${robot.goal}, then press “Found”`];
@@ -59,19 +64,18 @@ function during({ driver, source, reason, cause, emergency }) {
 
 /** Next step: what runs now, else what the newest drive and model still need. */
 function nextStep({ robot, job, drives, untaught, models }) {
-  if (robot?.episode || robot?.waiting) return robot.purpose === "run" ? "run" : "teach";
-  const learns = job?.kind === "model" && !job.outcome;
+  if (running(robot)) return robot.purpose === "run" ? "run" : "teach";
   const drove = robot?.purpose === "drive" && robot.outcome === "found" && !models;
-  if (learns || untaught || drove) return "learn";
+  if (learning(job) || untaught || drove) return "learn";
   if (models) return "run";
   return drives ? "learn" : "teach";
 }
 
 /** Sentence between episodes, as [level, text, facts]. */
 function between(state, step) {
-  const { robot, job } = state, works = job?.kind === "model";
-  if (works && !job.outcome) return ["good", jobText(job), jobFacts(job)];
-  if (works && job.outcome === "failed") {
+  const { robot, job } = state;
+  if (learning(job)) return ["good", jobText(job), jobFacts(job)];
+  if (job?.kind === "model" && job.outcome === "failed") {
     return ["bad", `${jobText(job)}. Select other drives below, or teach again`];
   }
   const ended = result(state), ran = ended && robot.purpose === "run";
@@ -85,19 +89,18 @@ function between(state, step) {
  */
 export function lead(state) {
   const { robot, job, chosen } = state, next = nextStep(state), wrong = trouble(state);
-  const busy = Boolean(robot?.episode || robot?.waiting), step = busy ? next : chosen ?? next;
-  const learns = job?.kind === "model" && !job.outcome && step === "learn";
-  const begin = learns ? "cancel" : { teach: "drive", learn: "learn", run: "run" }[step];
-  const time = robot?.episode && robot.seconds !== null ? seconds(robot.seconds) : "";
+  const step = running(robot) ? next : chosen ?? next;
   if (robot?.waiting) {
     const [level, text] = wrong ?? ["warn", `${state.opening ? `The robot opens ${state.opening}` : "Waiting for the robot"} …`];
     return { next, step, level, text, facts: "", does: ["withdraw"] };
   }
   if (robot?.episode) {
     const [level, text] = wrong ?? now(state);
+    const time = robot.seconds === null ? "" : seconds(robot.seconds);
     return { next, step, level, text, facts: time, does: during(robot) };
   }
   const [level, text, facts = ""] = wrong ?? between(state, step);
   const stopped = robot?.emergency || ["emergency_stop", "wheels", "fault"].includes(robot?.cause);
+  const begin = learning(job) && step === "learn" ? "cancel" : BEGINS[step];
   return { next, step, level, text, facts, does: stopped ? ["resume"] : [begin] };
 }

@@ -70,10 +70,10 @@ function distance({ goal, pose }) {
 }
 
 function drawLead() {
-  const { robot, job, taken, health } = watch.state, { worlds, frames_hz } = told("robot"), ill = illness(health);
+  const { robot, job, taken, health } = watch.state, { frames_hz } = told("robot"), ill = illness(health);
   const state = {
     plan: watch.age("plan") < OLD_S ? watch.state.plan?.kind : null,
-    robot, job, taken, chosen, frames_hz, simulated: Boolean(worlds), link: link(), age: watch.age("robot"),
+    robot, job, taken, chosen, frames_hz, unattended: Boolean(health?.unattended), link: link(), age: watch.age("robot"),
     ill: ill === "robot: does not answer" ? "" : ill, sits: drive.sits, opening: drive.sits ? opening() : "",
     distance: distance(watch.state), ...known(),
   };
@@ -90,7 +90,6 @@ function drawLead() {
   $("#stop").setAttribute("aria-pressed", String(Boolean(robot?.emergency || robot?.cause === "emergency_stop")));
   if (robot?.episode && document.body.dataset.episode !== robot.episode) showNews("");
   document.body.dataset.episode = robot?.episode ?? "";
-  document.body.dataset.outcome = robot?.outcome ?? "";
   say($("#episode"), episodeFacts(robot));
   drawCameraAge(Boolean(robot?.episode));
 }

@@ -8,7 +8,7 @@ const MARGIN = 18, NEAR_PX = 24, LEAST_M = 4, CROSS_PX = 6;
 const ARROW_PX = [[10, 0], [-6, 6], [-3, 0], [-6, -6]];
 const canvas = $("#map canvas"), place = $("#place"), legend = $("#map .victim");
 
-let shown = { places: [] };
+let shown = { places: [] }, plan = { layers: [] };
 
 /** Show the taught picture of the place at a click; a click elsewhere hides it. */
 canvas.onclick = ({ offsetX, offsetY }) => {
@@ -18,6 +18,31 @@ canvas.onclick = ({ offsetX, offsetY }) => {
   place.src = `taught/${shown.model.id}/${key}`;
   place.alt = `Taught picture, ${shown.model.along[key].toFixed(1)} m along the way`;
 };
+
+/** Double the area that points enclose; negative if they run clockwise. */
+function area2(points) {
+  return points.reduce((sum, [x, y], k) => {
+    const [beforeX, beforeY] = points.at(k - 1);
+    return sum + beforeX * y - x * beforeY;
+  }, 0);
+}
+
+/** Paths of a ground plan in metres, a path for consecutive shapes of a kind: later shapes cover earlier shapes. */
+function layersOf(ground) {
+  if (plan.ground === ground) return plan.layers;
+  plan = { ground, layers: [] };
+  for (const { kind, points, filled } of ground?.shapes ?? []) {
+    let layer = plan.layers.at(-1);
+    if (layer?.kind !== kind || layer.filled !== filled) {
+      layer = { kind, filled, path: new Path2D() };
+      plan.layers.push(layer);
+    }
+    // In a common path, outlines that overlap in opposite directions leave a hole.
+    const turned = area2(points) < 0 ? [...points].reverse() : points;
+    turned.forEach((point, k) => layer.path[k ? "lineTo" : "moveTo"](...point));
+  }
+  return plan.layers;
+}
 
 export function drawMap({ model, way, pose, tracked, belief, around, robot, health, goal, ground }, age) {
   const height = canvas.clientHeight, [pen, width] = cleared(canvas, height);
@@ -53,7 +78,14 @@ export function drawMap({ model, way, pose, tracked, belief, around, robot, heal
     Object.assign(pen, { strokeStyle: color(shade), fillStyle: color(shade), lineWidth: thickness, lineJoin: "round" });
     filled ? pen.fill(path) : pen.stroke(path);
   };
-  for (const { kind, points, filled } of ground?.shapes ?? []) trace(points.map(at), kind, 1, { filled });
+  pen.save();
+  pen.translate(...at([0, 0]));
+  pen.scale(scale, -scale);
+  for (const { kind, filled, path } of layersOf(ground)) {
+    Object.assign(pen, { strokeStyle: color(kind), fillStyle: color(kind), lineWidth: 1 / scale, lineJoin: "round" });
+    filled ? pen.fill(path) : pen.stroke(path);
+  }
+  pen.restore();
   for (const box of (goal?.episode === pose?.episode && goal?.boxes) || []) trace(box.map(at), "box", 1, { filled: true });
   const arrow = (pose, shade, filled) =>
     trace(ARROW_PX.map((corner) => beside(pose, corner)), shade, 2, { closed: true, filled });

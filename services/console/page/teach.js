@@ -68,7 +68,7 @@ function taughtHere({ worlds = [] }) {
   return !here || worlds.length === 0 || worlds.includes(here);
 }
 
-/** What the header needs to know of the files in the robot's world. */
+/** Facts for the header about the files in the robot's world. */
 export function known() {
   const here = worldOf(world), drives = library.recordings.filter((one) => teaches(one, here));
   const usable = library.models.filter((one) => !one.useless && taughtHere(one));

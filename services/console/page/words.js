@@ -50,9 +50,9 @@ export function seconds(s) {
 
 export const percent = (share) => `${Math.round(100 * share)} %`;
 
-/** Ailments of the needed services; empty if all work. */
-export function illness(health, needed = ["router", "robot"]) {
-  const ill = health?.services.filter(({ name, ailment }) => ailment && needed.includes(name)) ?? [];
+/** Ailments of router and robot; empty if both work. */
+export function illness(health) {
+  const ill = health?.services.filter(({ name, ailment }) => ailment && ["router", "robot"].includes(name)) ?? [];
   return ill.map(({ name, ailment }) => `${name}: ${ailment}`).join(", ");
 }
 
@@ -100,7 +100,7 @@ export function jobFacts({ stage, share, left_s }) {
   return [stage, numbers.filter(Boolean).join(", ")].filter(Boolean).join(": ");
 }
 
-/** What a job does, or its result. */
+/** Activity of a job, or its result. */
 export const jobText = ({ name, doing, done, outcome, why }) =>
   ({ done, cancelled: `${name} was cancelled.`, failed: `${doing} failed: ${why}` })[outcome] ?? `${doing} …`;
 

@@ -20,6 +20,7 @@ from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from services.simulator.robots import RobotModel
+from services.simulator.scanning.faces import PartFaces
 from services.simulator.scanning.mesh_file import ScanPart
 from services.simulator.world.place import WorldError, polygons
 
@@ -53,11 +54,44 @@ _NEVER: Final = np.iinfo(np.int64).max
 Cells = NDArray[np.int64]
 
 
+@dataclass(frozen=True, eq=False)
+class Grade:
+    """Height of a floor over the whole plan of a scan, which lays the scan level.
+
+    Attributes
+    ----------
+    height_m : array of shape (rows, columns)
+        Height in each cell.
+    low : array of shape (2,)
+        Corner of the first cell.
+    cell_m : float
+        Width of a cell.
+    corner : array of shape (2,)
+        Origin of the levelled scan.
+    """
+
+    height_m: NDArray[np.float64]
+    low: NDArray[np.float64]
+    cell_m: float
+    corner: NDArray[np.float64]
+
+    def levelled(self, parts: Sequence[ScanPart]) -> tuple[ScanPart, ...]:
+        """Return the parts with the floor at height 0: verticals and the plan stay."""
+        smooth = ndimage.gaussian_filter(self.height_m, _SMOOTH_M / self.cell_m, mode="nearest")
+        found = []
+        for part in parts:
+            at = (part.vertices[:, :2] - self.low) / self.cell_m - 0.5
+            below_m = ndimage.map_coordinates(smooth, at.T, order=1, mode="nearest")
+            moved = part.vertices - np.column_stack([np.tile(self.corner, (len(at), 1)), below_m])
+            found.append(replace(part, vertices=moved))
+        return tuple(found)
+
+
 @dataclass(frozen=True)
 class FoundFloor:
     """A floor, metres of the scan laid level; x and y count from its south-west corner."""
 
-    parts: tuple[ScanPart, ...]
+    grade: Grade
     area: Polygon  # Area that the robot's body can cover.
     walls: MultiPolygon  # Solid cells at the height of the robot's camera.
     height_m: float  # Mean height in the scan.
@@ -68,7 +102,7 @@ class FoundFloor:
 
 
 def find_floor(
-    parts: Sequence[ScanPart], robot: RobotModel, height_m: float | None = None
+    faces: Sequence[PartFaces], robot: RobotModel, height_m: float | None = None
 ) -> FoundFloor:
     """Find the largest connected floor for a robot, or the floor nearest to a height.
 
@@ -77,7 +111,7 @@ def find_floor(
     WorldError
         No floor is large enough.
     """
-    columns = _Columns(parts, robot)
+    columns = _Columns(faces, robot)
     storeys = columns.storeys()
     if not storeys:
         raise WorldError(
@@ -104,14 +138,13 @@ class _Storey:
 class _Columns:
     """Occupied cells of a scan; the code of a cell counts through its column first."""
 
-    def __init__(self, parts: Sequence[ScanPart], robot: RobotModel) -> None:
-        self._parts = parts
+    def __init__(self, faces: Sequence[PartFaces], robot: RobotModel) -> None:
         self._robot = robot
         self._cell_m = _CELL * robot.radius_m
         self._cell_height_m = robot.climb_m / _CLIMB
         self._top = math.ceil(robot.top_m / self._cell_height_m)
         size_m = np.array([self._cell_m, self._cell_m, self._cell_height_m])
-        points, faces_up = self._samples()
+        points, faces_up = self._samples(faces)
         off = np.abs(points[:, :2] - np.median(points[:, :2], axis=0)).max(axis=1)
         near = off < _FARTHEST * self._cell_m
         points = points[near]
@@ -129,26 +162,23 @@ class _Columns:
         level = np.unique(codes[faces_up])
         self._floor = level[~self._hit(level + _CLIMB, self._top)]
 
-    def _samples(self) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def _samples(self, faces: Sequence[PartFaces]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Return random points (n, 3) of the surfaces, and whether they face up."""
         rng = np.random.default_rng(0)
-        corners = [part.vertices[part.triangles] for part in self._parts]
-        normals = [np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]) / 2 for c in corners]
-        areas = [np.linalg.norm(normal, axis=1) for normal in normals]
         density = _SAMPLES / (self._cell_m * min(self._cell_m, self._cell_height_m))
-        density = min(density, _MOST_SAMPLES / sum(float(area.sum()) for area in areas))
+        density = min(density, _MOST_SAMPLES / sum(float(one.areas.sum()) for one in faces))
         points = []
         ups = []
-        for part, corner, normal, area in zip(self._parts, corners, normals, areas, strict=True):
-            which = np.repeat(np.arange(len(area)), rng.poisson(area * density))
+        for one in faces:
+            which = np.repeat(np.arange(len(one.areas)), rng.poisson(one.areas * density))
             u, v = rng.random((2, len(which), 1))
             outside = u + v > 1
             u = np.where(outside, 1 - u, u)
             v = np.where(outside, 1 - v, v)
-            a, b, c = np.moveaxis(corner[which], 1, 0)
+            a, b, c = np.moveaxis(one.corners[which], 1, 0)
             points.append(a + (b - a) * u + (c - a) * v)
-            up = normal[:, 2] / np.maximum(area, 1e-12)
-            ups.append((np.abs(up) if part.both else up)[which] > _FACES_UP)
+            up = one.normals[:, 2]
+            ups.append(((np.abs(up) if one.both else up) > _FACES_UP)[which])
         return np.concatenate(points), np.concatenate(ups)
 
     def _codes(self, i: Cells, j: Cells, k: Cells) -> Cells:
@@ -207,7 +237,7 @@ class _Columns:
         corner = np.array(area.bounds[:2])
         walls = polygons(self._outline(opaque), self._cell_m**2)
         return FoundFloor(
-            parts=tuple(self._level(self._height_m(k), corner)),
+            grade=Grade(self._height_m(k), self._low[:2], self._cell_m, corner),
             area=shapely.transform(area, lambda xy: xy - corner),
             walls=shapely.transform(MultiPolygon(walls), lambda xy: xy - corner),
             height_m=storey.height_m,
@@ -246,17 +276,6 @@ class _Columns:
         # Whole numbers, so that strips meet exactly.
         whole = shapely.union_all(shapely.box(row, begin, row + 1, end)).simplify(1.0)
         return shapely.transform(whole, lambda xy: self._low[:2] + xy * self._cell_m)
-
-    def _level(self, floor_m: NDArray[np.float64], corner: NDArray[np.float64]) -> list[ScanPart]:
-        """Return the parts with the floor at height 0: verticals and the plan stay."""
-        smooth = ndimage.gaussian_filter(floor_m, _SMOOTH_M / self._cell_m, mode="nearest")
-        found = []
-        for part in self._parts:
-            at = (part.vertices[:, :2] - self._low[:2]) / self._cell_m - 0.5
-            below_m = ndimage.map_coordinates(smooth, at.T, order=1, mode="nearest")
-            moved = part.vertices - np.column_stack([np.tile(corner, (len(at), 1)), below_m])
-            found.append(replace(part, vertices=moved))
-        return found
 
 
 def _next(codes: Cells, least: Cells) -> Cells:

@@ -58,7 +58,7 @@ def import_scan(source: Path, wishes: ScanWishes) -> ImportedScan:
         world = turned_ahead(World(place, *roles), task)
         check_task(world)
     summary = (*scanned.notes, *_summary(world, place, found, scanned))
-    return ImportedScan(world, found.parts, summary)
+    return ImportedScan(world, found.grade.levelled(scanned.parts), summary)
 
 
 def _roles(place: ScannedPlace, task: RoleWishes) -> tuple[Pose, Pose]:
@@ -76,7 +76,7 @@ def _floor(scanned: Scanned, wishes: ScanWishes) -> tuple[RobotName, FoundFloor]
     """Return the robot and its floor; a large place outdoors gets the large robot."""
 
     def floor(name: RobotName) -> FoundFloor:
-        return find_floor(scanned.parts, _climbing(name, wishes), wishes.floor_m)
+        return find_floor(scanned.faces, _climbing(name, wishes), wishes.floor_m)
 
     if wishes.robot is not None:
         return wishes.robot, floor(wishes.robot)
@@ -104,7 +104,7 @@ def _summary(
     yield "holes in the floor", f"{found.holes:.1%}"
     yield "edge without a wall", f"{found.open_edge:.1%}"
     yield "untextured", f"{scanned.untextured:.1%}"
-    yield "triangles", f"{sum(len(part.triangles) for part in found.parts)}"
+    yield "triangles", f"{sum(len(part.triangles) for part in scanned.parts)}"
     x_min, y_min, x_max, y_max = place.floor.footprint.bounds
     yield "size", f"{x_max - x_min:.1f} x {y_max - y_min:.1f} m"
     for role, pose in (("start", world.start), ("victim", world.victim)):

@@ -18,12 +18,13 @@ from trimesh.visual import ColorVisuals
 from trimesh.visual.material import Material
 
 from schemas.codec import printable
+from services.kit.world_files import scan_format
+from services.simulator.scanning.faces import PartFaces
 from services.simulator.scanning.mesh_file import ScanPart
 from services.simulator.world.place import WorldError
-from services.simulator.world.scan import SUFFIXES
 
-#: Metres of the units that files have, in the order in which they are tried.
-UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+# Metres of the units that files have, in the order in which they are tried.
+_UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 # Axes that become x, y and z, for each up axis: rows of a rotation.
 _ROTATIONS: Final = {
     "x": ((0, 1, 0), (0, 0, 1), (1, 0, 0)), "-x": ((0, 1, 0), (0, 0, -1), (-1, 0, 0)),
@@ -66,6 +67,7 @@ class Scanned:
     """
 
     parts: tuple[ScanPart, ...]
+    faces: tuple[PartFaces, ...]
     untextured: float
     notes: tuple[tuple[str, str], ...]
 
@@ -86,17 +88,27 @@ def read_scan(source: Path, scale: float | None = None, up: str | None = None) -
     WorldError
         The file is not a usable mesh.
     """
-    kind = _kind(source)
+    kind = scan_format(source)
+    if kind is None:
+        raise WorldError("unsupported; a scan is a .glb, .gltf, .obj or .ply file")
     try:
-        parts, untextured, notes = _parts(source, kind)
+        parts, faces, untextured, notes = _parts(source, kind)
     except (OSError, SyntaxError, ValueError) as error:  # As Pillow raises them.
         raise WorldError(f"its content is damaged ({error})") from None
-    standing, axis = _upright(parts, up, usual="y" if kind in {"glb", "gltf"} else None)
-    sized, unit = _to_metres(standing, scale, metric=kind in {"glb", "gltf"})
-    return Scanned(tuple(sized), untextured, (axis, unit, *notes))
+    axis, axis_note = _up_axis(faces, up, usual="y" if kind in {"glb", "gltf"} else None)
+    scale_m, scale_note = _scale(parts, faces, axis, scale, metric=kind in {"glb", "gltf"})
+    turn = np.array(_ROTATIONS[axis], dtype=np.float64)
+    return Scanned(
+        tuple(replace(part, vertices=part.vertices @ turn.T * scale_m) for part in parts),
+        tuple(one.turned(turn, scale_m) for one in faces),
+        untextured,
+        (axis_note, scale_note, *notes),
+    )
 
 
-def _parts(source: Path, kind: str) -> tuple[list[ScanPart], float, list[tuple[str, str]]]:
+def _parts(
+    source: Path, kind: str
+) -> tuple[list[ScanPart], list[PartFaces], float, list[tuple[str, str]]]:
     """Return the parts as in the file, the untextured share of their area, and warnings."""
     meshes = list(_meshes(source, kind))
     if not meshes:
@@ -106,25 +118,18 @@ def _parts(source: Path, kind: str) -> tuple[list[ScanPart], float, list[tuple[s
     paints = [_paint(mesh) for mesh, _ in meshes]
     divisor, notes = _shrink([paint.picture for paint in paints])
     jpegs = _Jpegs(divisor)
+    faces = [one for _, one in meshes]
     parts = [
-        ScanPart(*_corners(mesh, paint), jpegs.of(paint.picture), both)
-        for (mesh, both), paint in zip(meshes, paints, strict=True)
+        ScanPart(*_corners(mesh, paint), jpegs.of(paint.picture), one.both)
+        for (mesh, one), paint in zip(meshes, paints, strict=True)
     ]
-    areas = np.array([mesh.area for mesh, _ in meshes])
+    areas = np.array([one.areas.sum() for one in faces])
     plain = [not paint.textured for paint in paints]
-    return parts, float(areas[plain].sum() / areas.sum()), notes
+    return parts, faces, float(areas[plain].sum() / areas.sum()), notes
 
 
-def _kind(source: Path) -> str:
-    """Return the format: by the file name, or of an upload without a name by its first bytes."""
-    if source.suffix.lower() in SUFFIXES:
-        return source.suffix.lower()[1:]
-    with source.open("rb") as file:
-        return "ply" if file.read(4).startswith(b"ply") else "glb"
-
-
-def _meshes(source: Path, kind: str) -> Iterator[tuple[trimesh.Trimesh, bool]]:
-    """Yield the meshes in the coordinates of the file, and whether both sides are visible."""
+def _meshes(source: Path, kind: str) -> Iterator[tuple[trimesh.Trimesh, PartFaces]]:
+    """Yield the meshes in the coordinates of the file, without invalid and empty triangles."""
     Image.MAX_IMAGE_PIXELS = None  # The child process has a limit of memory.
     _check_extensions(source, kind)
     try:
@@ -140,13 +145,15 @@ def _meshes(source: Path, kind: str) -> Iterator[tuple[trimesh.Trimesh, bool]]:
         if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
             mesh = mesh.copy()
             mesh.apply_transform(transform)
-            usable = np.isfinite(mesh.triangles).all(axis=(1, 2)) & (mesh.area_faces > 0)
-            mesh.update_faces(usable)
+            mesh.update_faces(np.isfinite(mesh.triangles).all(axis=(1, 2)))
             material = getattr(mesh.visual, "material", None)
             # Only glTF can hide back faces.
             both = kind not in {"glb", "gltf"} or bool(getattr(material, "doubleSided", True))
-            if len(mesh.faces):
-                yield mesh, both
+            faces = PartFaces.of(np.asarray(mesh.triangles), both=both)
+            solid = faces.areas > 0
+            if solid.any():
+                mesh.update_faces(solid)
+                yield mesh, faces.chosen(solid)
 
 
 def _check_extensions(source: Path, kind: str) -> None:
@@ -264,31 +271,28 @@ class _Jpegs:
         return content.getvalue()
 
 
-def _upright(
-    parts: list[ScanPart], wish: str | None, usual: str | None
-) -> tuple[list[ScanPart], tuple[str, str]]:
-    """Turn the parts so that z is up, along the axis of the largest level surface."""
-    area = {axis: _largest_level(parts, axis) for axis in ("y", "z")}
+def _up_axis(
+    faces: Sequence[PartFaces], wish: str | None, usual: str | None
+) -> tuple[str, tuple[str, str]]:
+    """Return the up axis: by default the normal of the largest level surface."""
+    area = {axis: _largest_level(faces, axis) for axis in ("y", "z")}
     best = max(area, key=lambda axis: area[axis])
     if usual is not None and area[best] < _CLEARLY * area[usual]:
         best = usual
     axis = wish or best
     how = "given" if wish else "detected; --up AXIS sets it"
-    turn = np.array(_ROTATIONS[axis])
-    turned = [replace(part, vertices=part.vertices @ turn.T) for part in parts]
-    return turned, ("up axis", f"{axis} ({how})")
+    return axis, ("up axis", f"{axis} ({how})")
 
 
 def _levels(
-    parts: Sequence[ScanPart], axis: str
+    faces: Sequence[PartFaces], axis: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the area of level surfaces by height along an axis, and the heights."""
-    height = "xyz".index(axis[-1])
-    corners = np.concatenate([part.vertices[part.triangles] for part in parts])
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
-    area = np.linalg.norm(normal, axis=1)
-    level = np.abs(normal[:, height]) > 0.9 * area
-    middle = corners[:, :, height].mean(axis=1)
+    along = "xyz".index(axis[-1])
+    sign = -1.0 if axis.startswith("-") else 1.0
+    area = np.concatenate([one.areas for one in faces])
+    level = np.abs(np.concatenate([one.normals[:, along] for one in faces])) > 0.9
+    middle = sign * np.concatenate([one.corners[:, :, along].mean(axis=1) for one in faces])
     # Outliers do not count: a floor of two triangles has a large area, specks have a small one.
     order = np.argsort(middle)
     share = np.cumsum(area[order]) / area.sum()
@@ -299,13 +303,13 @@ def _levels(
     return counts, (edges[:-1] + edges[1:]) / 2
 
 
-def _largest_level(parts: Sequence[ScanPart], axis: str) -> float:
-    return float(_levels(parts, axis)[0].max())
+def _largest_level(faces: Sequence[PartFaces], axis: str) -> float:
+    return float(_levels(faces, axis)[0].max())
 
 
-def _storey(parts: Sequence[ScanPart]) -> float | None:
+def _storey(faces: Sequence[PartFaces], axis: str) -> float | None:
     """Return the height from the lowest large level surface to the next, in units of the file."""
-    counts, heights = _levels(parts, "z")
+    counts, heights = _levels(faces, axis)
     smooth = np.convolve(np.pad(counts, 2), (0.5, 1.0, 1.0, 1.0, 0.5), mode="same")
     peaks, _ = find_peaks(smooth, height=_LEVEL * smooth.max(), distance=_BINS // 16)
     if len(peaks) < 2:
@@ -313,19 +317,21 @@ def _storey(parts: Sequence[ScanPart]) -> float | None:
     return float(heights[min(peaks[1] - 2, _BINS - 1)] - heights[max(peaks[0] - 2, 0)])
 
 
-def _to_metres(
-    parts: list[ScanPart], wish: float | None, *, metric: bool
-) -> tuple[list[ScanPart], tuple[str, str]]:
-    """Scale the parts to metres, by the height of a storey or else by the extent."""
-    storey = _storey(parts)
-    corners = np.concatenate([part.vertices for part in parts])
-    size = np.ptp(corners, axis=0)
-    unit, why = _unit(storey, float(size[:2].max()), float(size[2]), metric=metric)
-    scale = wish or UNITS[unit]
-    if wish:
-        why = "given"
-    sized = [replace(part, vertices=part.vertices * scale) for part in parts]
-    return sized, ("unit", f"{scale:g} m ({why})")
+def _scale(
+    parts: Sequence[ScanPart],
+    faces: Sequence[PartFaces],
+    axis: str,
+    wish: float | None,
+    *,
+    metric: bool,
+) -> tuple[float, tuple[str, str]]:
+    """Return the metres per unit of the file, by the height of a storey or else by the extent."""
+    size = np.ptp(np.concatenate([part.vertices for part in parts]), axis=0)
+    up = "xyz".index(axis[-1])
+    plan = np.delete(size, up)
+    unit, why = _unit(_storey(faces, axis), float(plan.max()), float(size[up]), metric=metric)
+    scale = wish or _UNITS[unit]
+    return scale, ("unit", f"{scale:g} m ({'given' if wish else why})")
 
 
 def _unit(storey: float | None, extent: float, height: float, *, metric: bool) -> tuple[str, str]:
@@ -334,12 +340,12 @@ def _unit(storey: float | None, extent: float, height: float, *, metric: bool) -
     if storey is not None:
         if metric and _METRES_STOREY_M[0] <= storey <= _METRES_STOREY_M[1]:
             return "m", "as glTF defines; --scale METRES sets it"
-        for unit, metres in UNITS.items():
+        for unit, metres in _UNITS.items():
             if _STOREY_M[0] <= storey * metres <= _STOREY_M[1]:
                 return unit, f"{detected}: a storey of {storey * metres:.1f} m"
     for unit in ("m", "cm", "mm"):
-        low = unit == "m" or height * UNITS[unit] <= _HEIGHT_M
-        if low and _EXTENT_M[0] <= extent * UNITS[unit] <= _EXTENT_M[1]:
+        low = unit == "m" or height * _UNITS[unit] <= _HEIGHT_M
+        if low and _EXTENT_M[0] <= extent * _UNITS[unit] <= _EXTENT_M[1]:
             return unit, "assumed from the extent; --scale METRES sets it"
     raise WorldError(
         f"its extent of {extent:g} fits no unit; give --scale METRES, the length of a unit of the file"

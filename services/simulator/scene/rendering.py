@@ -1,6 +1,5 @@
 """The robot's camera and the overhead camera, rendered by SAPIEN."""
 
-import itertools
 import math
 from collections.abc import Sequence
 from functools import lru_cache
@@ -18,8 +17,9 @@ from services.simulator.scene.bodies import body
 from services.simulator.scene.build import build_scene
 from services.simulator.scene.furniture import furnish
 from services.simulator.scene.surfaces import Surface, Tile, surfaces
+from services.simulator.scene.tiles import ShownTiles
 from services.simulator.scene.vulkan import cannot_render, load_sapien
-from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, CameraSettings
+from services.simulator.sensors.camera import FOCAL, CameraSettings
 from services.simulator.sensors.readings import LEVEL, Tilt
 from services.simulator.world.obstacles import Obstacle
 from services.simulator.world.place import OverheadMount, Pose, World
@@ -30,8 +30,6 @@ _SHADER: Final = Path(__file__).parent / "shader"
 _LIGHTS: Final = 3
 _DARK: Final = ((0.0, 0.0, -1.0), (0.0, 0.0, 0.0))
 _NEAR_M: Final = 0.1
-# Margin of the field of view for the tilt of the camera, degrees.
-_TILT_DEG: Final = 3.0
 _FAR_M: Final = 2000.0
 #: Labels of pixels in the alpha channel, 0 to 255; our shader takes them from the material. Colours
 #: are blended with earlier draws by alpha, so labels are near 255, and the victim and the robot are
@@ -57,36 +55,6 @@ def load_renderer() -> Any:
     return sapien
 
 
-class _ShownTile:
-    """Bodies of a tile, near and far, with its bounds (2,) in the plan."""
-
-    def __init__(
-        self,
-        near: Any,
-        far: Any,
-        near_m: float,
-        low: NDArray[np.float32],
-        high: NDArray[np.float32],
-    ) -> None:
-        self._near = near
-        self._far = far
-        self.near_m = near_m
-        self._low = low
-        self._high = high
-        east_west, north_south = np.column_stack([low, high])
-        self.corners = np.array(list(itertools.product(east_west, north_south)))
-
-    def away_m(self, x: float, y: float) -> float:
-        """Return the distance of a place from the bounds."""
-        here = np.array([x, y])
-        return float(np.hypot(*np.maximum(np.maximum(self._low - here, here - self._high), 0.0)))
-
-    def show(self, *, seen: bool, near: bool) -> None:
-        """Show one of the bodies, or neither."""
-        self._near.visibility = float(seen and near)
-        self._far.visibility = float(seen and not near)
-
-
 class SceneCamera:
     """A camera on the robot's mast in a world; raises UnavailableError without Vulkan."""
 
@@ -95,7 +63,7 @@ class SceneCamera:
         self._mount = world.robot.camera
         above = world.place.overhead
         #: Focal length in pixels of the image.
-        self.focal_px = settings.width / 2 / math.tan(math.radians(FIELD_OF_VIEW_DEG) / 2)
+        self.focal_px = FOCAL * settings.width
         self._seen_from: tuple[Pose, Tilt] | None = None
         scene = build_scene(world, settings.light)
         try:
@@ -179,8 +147,7 @@ class SceneCamera:
         if self._above is None:
             raise LookupError("this place has no overhead camera")
         self._put_robot(pose)
-        for tile in self._tiles:
-            tile.show(seen=True, near=True)
+        self._tiles.show_all()
         self._scene.update_render()
         self._above.take_picture()
         # The scene no longer matches the image of the robot's own camera.
@@ -197,7 +164,7 @@ class SceneCamera:
             return
         self._put_robot(pose)
         at = (*pose.at(self._mount.ahead_m), self._mount.height_m)
-        self._hide_tiles(pose)
+        self._tiles.show_from(Pose(at[0], at[1], pose.heading))
         mast = self._sapien.Pose(at, _turn(pose.heading, tilt))
         self._mast.set_pose(mast)
         if self._sky is not None:
@@ -206,29 +173,15 @@ class SceneCamera:
         self._camera.take_picture()
         self._seen_from = pose, tilt
 
-    def _add_tiles(self, tiles: Sequence[Tile]) -> list["_ShownTile"]:
+    def _add_tiles(self, tiles: Sequence[Tile]) -> ShownTiles:
         textures: dict[int, Any] = {}
-        found = []
+        bodies = []
         for tile in each(tiles):
             near, far = (self._body([one], STILL, textures) for one in (tile.near, tile.far))
             self._add(near)
             self._add(far)
-            xy = tile.near.mesh.vertices[:, :2]
-            found.append(_ShownTile(near, far, tile.near_m, xy.min(axis=0), xy.max(axis=0)))
-        return found
-
-    def _hide_tiles(self, pose: Pose) -> None:
-        """Hide the tiles behind the camera and beside its field of view."""
-        x, y = pose.at(self._mount.ahead_m)
-        cos = math.cos(pose.heading)
-        sin = math.sin(pose.heading)
-        slope = math.tan(math.radians(FIELD_OF_VIEW_DEG / 2 + _TILT_DEG))
-        for tile in self._tiles:
-            corners = tile.corners - (x, y)
-            ahead = corners @ (cos, sin)
-            left = corners @ (-sin, cos)
-            beside = (left > slope * ahead).all() or (-left > slope * ahead).all()
-            tile.show(seen=not (beside or (ahead < 0).all()), near=tile.away_m(x, y) < tile.near_m)
+            bodies.append((near, far))
+        return ShownTiles(tiles, bodies)
 
     def _put_robot(self, pose: Pose) -> None:
         self._robot.set_pose(self._sapien.Pose((pose.x, pose.y, 0.0), _turn(pose.heading)))

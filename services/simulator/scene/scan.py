@@ -7,23 +7,23 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from services.simulator.robots import TURTLEBOT
 from services.simulator.scanning.mesh_file import ScanPart, read_parts
 from services.simulator.scene import bodies
 from services.simulator.scene.meshes import Mesh, make
 from services.simulator.scene.room import indoor_light
 from services.simulator.scene.sky import outdoor_light, sky_dome
 from services.simulator.scene.surfaces import SceneSurfaces, Surface, Tile, Vector, surfaces
-from services.simulator.scene.textures import Picture
+from services.simulator.sensors.camera import FOCAL
 from services.simulator.variation import DAY, Daylight
 from services.simulator.world.scan import ScannedPlace
 
 # Side of the tiles, in clearances of the place.
 _TILE: Final = 12.0
 # Distance from which a tile has fewer triangles, and the cell in which their vertices merge, in
-# sides of a tile: two pixels of an image 320 pixels wide.
+# sides of a tile: two pixels of an image of this width.
 _NEAR: Final = 1.5
-_COARSE: Final = _NEAR * 2 / 208
+_IMAGE_PX: Final = 320
+_COARSE: Final = _NEAR * 2 / (FOCAL * _IMAGE_PX)
 # Number of chart cells along a picture: two points of one cell and one chart are near each other.
 _CHARTS: Final = 64
 # Half the width of a door: the floor farther from walls falls apart into rooms.
@@ -32,15 +32,13 @@ _HALF_DOOR_M: Final = 0.55
 # differs from the day of the scan.
 _LAMPS: Final = 0.15
 _COLOUR: Final = 0.06
-_GAMMA: Final = 2.2  # Of the shader: pictures are gamma-encoded.
+_GAMMA: Final = 2.2  # Gamma of the encoded pictures, as in the shader.
 
 
 def build(scan: ScannedPlace, light: Daylight) -> SceneSurfaces:
     """Build the tiles of a scan; raises WorldError for a damaged mesh file."""
     victim, decoys = (
-        ("nao", bodies.INDOOR_DECOYS)
-        if scan.robot is TURTLEBOT
-        else ("person", bodies.OUTDOOR_DECOYS)
+        ("nao", bodies.INDOOR_DECOYS) if scan.robot.indoor else ("person", bodies.OUTDOOR_DECOYS)
     )
     return SceneSurfaces(
         *(outdoor_light(light) if scan.sky else indoor_light(light)),
@@ -62,22 +60,21 @@ def _tiles(scan: ScannedPlace, light: Daylight) -> Iterator[Tile]:
         for number, tile in enumerate(tiles):
             tint = rooms.tint((tile + 0.5) * side_m)
             mesh = _mesh(part, of.ravel() == number)
-            yield _tile(mesh, picture, tint, side_m)
-            if part.both:
-                yield _tile(mesh.flipped(), picture, tint, side_m)
-
-
-def _tile(mesh: Mesh, picture: Picture, tint: Vector, side_m: float) -> Tile:
-    far = _coarse(mesh, _COARSE * side_m)
-    near, away = (Surface(one, picture, glows=True, tint=tint) for one in (mesh, far))
-    return Tile(near, away, _NEAR * side_m)
+            near, far = (
+                Surface(one, picture, glows=True, tint=tint)
+                for one in (mesh, _coarse(mesh, _COARSE * side_m))
+            )
+            yield Tile(near, far, _NEAR * side_m)
 
 
 def _mesh(part: ScanPart, which: NDArray[np.bool_]) -> Mesh:
-    used, triangles = np.unique(part.triangles[which], return_inverse=True)
+    used, corners = np.unique(part.triangles[which], return_inverse=True)
     vertices = part.vertices[used]
+    triangles = corners.reshape(-1, 3)
+    if part.both:  # The renderer culls back faces.
+        triangles = np.concatenate([triangles, triangles[:, ::-1]])
     # Unlit surfaces need no normals.
-    return make(vertices, np.zeros_like(vertices), part.uvs[used], triangles.reshape(-1, 3))
+    return make(vertices, np.zeros_like(vertices), part.uvs[used], triangles)
 
 
 def _coarse(mesh: Mesh, cell_m: float) -> Mesh:

@@ -16,9 +16,9 @@ _RADIUS_M: Final = 900.0
 _DOME_DETAIL: Final = 24
 _SEED: Final = 7
 _SKY_SHAPE: Final = (1024, 4096)
-#: Elevation at the top and the bottom of the picture, degrees.
-TOP_DEG: Final = 90.0
-BOTTOM_DEG: Final = -10.0
+# Elevation at the top and the bottom of the picture, degrees.
+_TOP_DEG: Final = 90.0
+_BOTTOM_DEG: Final = -10.0
 _FAIR_HORIZON: Final = np.array([206.0, 218.0, 228.0])
 _CLOUDS: Final = np.array([246.0, 246.0, 244.0])
 _HILLS: Final = np.array([122.0, 134.0, 138.0])
@@ -38,18 +38,21 @@ def sky_dome(light: Daylight) -> Surface:
     dome = ball((0, 0, 0), (1, 1, 1), _DOME_DETAIL)
     elevation = np.degrees(np.arcsin(np.clip(dome.vertices[:, 2], -1, 1)))
     uvs = np.column_stack(
-        [dome.uvs[:, 0] / 2, np.clip((TOP_DEG - elevation) / (TOP_DEG - BOTTOM_DEG), 0.002, 0.998)]
+        [
+            dome.uvs[:, 0] / 2,
+            np.clip((_TOP_DEG - elevation) / (_TOP_DEG - _BOTTOM_DEG), 0.002, 0.998),
+        ]
     )
     inside = make(dome.vertices * _RADIUS_M, dome.normals, uvs, dome.triangles).flipped()
-    return Surface(inside, paint_sky(_SEED, light), glows=True)
+    return Surface(inside, _paint_sky(_SEED, light), glows=True)
 
 
 @lru_cache(maxsize=2)
-def paint_sky(seed: int, light: Daylight) -> Picture:
+def _paint_sky(seed: int, light: Daylight) -> Picture:
     """Paint the panorama (1024, 4096, 3), seamless to the sides, from 90 degrees up to 10 below."""
     rng = np.random.default_rng(seed)
     clouds = np.random.default_rng([seed, light.clouds_seed])
-    elevation = np.linspace(TOP_DEG, BOTTOM_DEG, _SKY_SHAPE[0])[:, None]
+    elevation = np.linspace(_TOP_DEG, _BOTTOM_DEG, _SKY_SHAPE[0])[:, None]
     up = np.clip(elevation / 90.0, 0, 1)
     horizon = np.array(light.horizon)
     zenith = np.array(light.zenith)

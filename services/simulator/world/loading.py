@@ -19,7 +19,7 @@ from services.kit.going_on import go_on
 from services.simulator.world.osm import Extract, MapSurroundings, read_osm
 from services.simulator.world.place import Pose, World, WorldError
 from services.simulator.world.room import Room, RoomFile
-from services.simulator.world.route import lane_graph, obstacles_of, plan_route
+from services.simulator.world.route import first_pose, lane_graph, obstacles_of, plan_route
 from services.simulator.world.scan import ScanFile
 from services.simulator.world.survey import terrain_from
 from services.simulator.world.task import choose_roles
@@ -214,9 +214,7 @@ def turned_ahead(world: World, task: RoleWishes) -> World:
     """Turn the start along the route if the task requests it."""
     if not task.ahead:
         return world
-    here, there = plan_route(world, (world.start.x, world.start.y))[:2]
-    east, north = (there - here).tolist()
-    return replace(world, start=replace(world.start, heading=math.atan2(north, east)))
+    return replace(world, start=first_pose(plan_route(world, (world.start.x, world.start.y))))
 
 
 def _check_content(terrain: Terrain) -> None:

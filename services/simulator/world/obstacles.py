@@ -11,7 +11,6 @@ from shapely import LineString
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring
 
-from services.simulator.robots import TURTLEBOT
 from services.simulator.world.furniture import Furniture, FurnitureKind
 from services.simulator.world.place import Pose, Solid, World, WorldError
 from services.simulator.world.route import beside, obstacles_of, plan_route
@@ -31,6 +30,7 @@ def _thing(kind: FurnitureKind, width_m: float, depth_m: float, height_m: float)
 
 
 #: Obstacles for the rescue robot and for the TurtleBot; the first of each kind can close a route.
+# By whether the robot is an indoor robot.
 _THINGS: Final = {
     False: (
         _thing("partition", 1.6, 0.3, 1.0),
@@ -103,7 +103,7 @@ class _Way:
         self._radius_m = world.robot.radius_m
         scale = world.scale
         self._obstacles = obstacles_of(world.place)
-        self._things = _THINGS[world.place.robot is TURTLEBOT]
+        self._things = _THINGS[world.robot.indoor]
         self._line = LineString(plan_route(world, (start.x, start.y)))
         #: Excludes the area where episodes begin and where the goal counts as found.
         first_m = 3 * scale.aside_m

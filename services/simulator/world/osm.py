@@ -22,14 +22,13 @@ from shapely import LineString, MultiPolygon, STRtree
 from shapely.geometry.base import BaseGeometry
 
 from schemas.codec import printable
+from services.kit.world_files import LARGEST_MAP
 from services.simulator.world.place import Bounds, WorldError, polygons
 
 Tags = Mapping[str, str]
 Points = NDArray[np.float64]
 Shape = TypeVar("Shape")
 
-# Bytes; a town of several thousand buildings takes a third.
-LARGEST_FILE: Final = 64 * 1024 * 1024
 # Maximum number of points in ways and relations, and of tagged nodes, ways and relations.
 MOST_POINTS: Final = 1_000_000
 MOST_ELEMENTS: Final = 200_000
@@ -370,9 +369,9 @@ def only_areas(geometry: BaseGeometry) -> BaseGeometry:
 def _format(path: Path) -> str:
     """Return the format of a file for osmium, by its content; reject other and large files."""
     size = path.stat().st_size
-    if size > LARGEST_FILE:
+    if size > LARGEST_MAP:
         raise WorldError(
-            f"too large ({size / 1e6:.0f} MB > maximum {LARGEST_FILE / 1e6:.0f} MB); cut it smaller"
+            f"too large ({size / 1e6:.0f} MB > maximum {LARGEST_MAP / 1e6:.0f} MB); cut it smaller"
         )
     with path.open("rb") as file:
         start = file.read(64)

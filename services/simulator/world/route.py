@@ -238,6 +238,13 @@ def beside(way: LineString, along_m: float, aside_m: float = 0.0) -> Pose:
     return Pose(*along.at(0.0, aside_m), along.heading)
 
 
+def first_pose(route: NDArray[np.float64]) -> Pose:
+    """Return the pose at the start of a route (k, 2) that faces along its first leg."""
+    x, y = route[0].tolist()
+    east, north = (route[1] - route[0]).tolist()
+    return Pose(x, y, math.atan2(north, east))
+
+
 def route_length_m(route: NDArray[np.float64]) -> float:
     """Return the length of a route (k, 2), metres."""
     return float(shapely.LineString(route).length)

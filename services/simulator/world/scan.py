@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 from shapely import LineString, Polygon
-from shapely.geometry.base import BaseGeometry
 
-from services.simulator.robots import ROBOTS, TURTLEBOT, RobotModel
+from services.simulator.robots import ROBOTS, RobotModel
 from services.simulator.world.lanes import LONGEST, floor_lanes
 from services.simulator.world.place import (
     STRICT,
@@ -33,13 +32,10 @@ from services.simulator.world.place import (
     polygons,
 )
 from services.simulator.world.room import SCALE as ROOM_SCALE
-from services.simulator.world.terrain import Many, Plan, Spot, plan, task_content
+from services.simulator.world.terrain import Many, Plan, Spot, rounded_plans, task_content
 
 FORMAT: Final = "smal.scan/1"
-SUFFIXES: Final = (".glb", ".gltf", ".obj", ".ply")
 MESH_SUFFIX: Final = ".npz"
-# First bytes of the formats that hold everything in one file.
-_MAGIC: Final = (b"glTF", b"ply\n", b"ply\r")
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 RobotName = Literal["rescuebot", "turtlebot"]
 # Width of the solid border around the floor.
@@ -48,7 +44,6 @@ _BORDER_M: Final = 0.5
 _TILE_M: Final = 4.0
 # Height of obstacles in the physics; the robot is lower.
 _HEIGHT_M: Final = 2.0
-_DECIMALS: Final = 3
 # Length of legs off the lanes, in distances of lane ends.
 _LEG: Final = 1.5
 # Roughness of the floor's outline, in clearances.
@@ -78,7 +73,7 @@ class ScannedPlace:
     @property
     def scale(self) -> Scale:
         """Typical distances for the robot; lanes are dense, so that they need no points between."""
-        usual = ROOM_SCALE if self.robot is TURTLEBOT else Scale()
+        usual = ROOM_SCALE if self.robot.indoor else Scale()
         end_m = usual.lane_end_m
         return replace(usual, spacing_m=LONGEST * end_m, longest_leg_m=_LEG * end_m)
 
@@ -137,29 +132,19 @@ class ScanFile(ScannedPlace):
         return World(place, self.start.pose, self.victim.pose)
 
 
-def is_scan(source: Path) -> bool:
-    """Return whether a file is a scan, by its name, or without a suffix by its first bytes."""
-    if source.suffix:
-        return source.suffix.lower() in SUFFIXES
-    with source.open("rb") as file:
-        return file.read(4) in _MAGIC
-
-
 def scan_of(
     robot_name: RobotName, area: Polygon, walls: list[Polygon], *, sky: bool
 ) -> ScannedPlace:
-    """Return a scan of outlines, rounded to millimetres."""
-    (floor,) = _rounded([max(polygons(_on_grid(area)), key=lambda one: one.area)])
-    return ScannedPlace(robot_name=robot_name, sky=sky, floor=floor, walls=tuple(_rounded(walls)))
-
-
-def _on_grid(shape: BaseGeometry) -> BaseGeometry:
-    return shapely.set_precision(shape, 10.0**-_DECIMALS)
-
-
-def _rounded(areas: list[Polygon]) -> Iterator[Plan]:
-    for area in areas:
-        yield from (Plan(**plan(part)) for part in polygons(_on_grid(area)))
+    """Return a scan of outlines, rounded to millimetres; WorldError without an area of floor."""
+    floors = [Plan(**fields) for fields in rounded_plans(area)]
+    if not floors:
+        raise WorldError("its floor is narrower than a millimetre; give --scale")
+    return ScannedPlace(
+        robot_name=robot_name,
+        sky=sky,
+        floor=max(floors, key=lambda one: one.footprint.area),
+        walls=tuple(Plan(**fields) for wall in walls for fields in rounded_plans(wall)),
+    )
 
 
 def scan_text(world: World, source: str) -> str:

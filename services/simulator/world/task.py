@@ -14,6 +14,7 @@ from services.simulator.world.place import Place, Pose, Scale, World, WorldError
 from services.simulator.world.route import (
     RoutesTo,
     beside,
+    first_pose,
     lane_graph,
     obstacles_of,
     plan_route,
@@ -142,8 +143,7 @@ class _Rule:
                 if ahead is not None and self._obstacles.is_free(
                     float(here[0]), float(here[1]), self._size * _START_ROOM_M
                 ):
-                    east, north = ahead[1] - ahead[0]
-                    return rank, Pose(float(here[0]), float(here[1]), math.atan2(north, east))
+                    return rank, first_pose(ahead)
         return 0, None
 
     def _are_hidden(

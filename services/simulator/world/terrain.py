@@ -50,6 +50,7 @@ _CANOPY_M2: Final = 400.0
 _POST_INSET_M: Final = 0.2
 _MOST: Final = 50_000
 _DECIMALS: Final = 3
+_GRID_M: Final = 10.0**-_DECIMALS
 
 
 def _line(_source: object, handler: Any) -> Any:  # noqa: ANN401 - pydantic's
@@ -113,6 +114,14 @@ def plan(polygon: Polygon) -> dict[str, Any]:
     """Return the fields of the plan that covers a polygon."""
     outline, *holes = (tuple(ring.coords) for ring in (polygon.exterior, *polygon.interiors))
     return {"outline": outline, "holes": tuple(holes)}
+
+
+def rounded_plans(polygon: Polygon) -> Iterator[dict[str, Any]]:
+    """Yield the plans of a polygon in millimetres; a sliver has none, a self-touching one several."""
+    rounded = shapely.transform(polygon, lambda points: np.round(points, _DECIMALS))
+    if not rounded.is_valid:
+        rounded = shapely.set_precision(polygon, _GRID_M)
+    yield from map(plan, polygons(rounded))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, config=STRICT)
@@ -341,25 +350,23 @@ def terrain_text(world: World) -> str:
 
 
 def _on_grid(terrain: Terrain) -> Terrain:
-    """Round shapes to millimetres; slivers vanish, and self-touching shapes are split."""
+    """Round shapes to millimetres; see `rounded_plans`."""
 
     def lines(line: LineString) -> Iterator[LineString]:
-        rounded = shapely.set_precision(line, 10.0**-_DECIMALS)
+        rounded = shapely.set_precision(line, _GRID_M)
         if not rounded.is_empty:
             yield rounded
-
-    def plans(polygon: Polygon) -> Iterator[dict[str, Any]]:
-        rounded = shapely.transform(polygon, lambda points: np.round(points, _DECIMALS))
-        if not rounded.is_valid:
-            rounded = shapely.set_precision(polygon, 10.0**-_DECIMALS)
-        yield from map(plan, polygons(rounded))
 
     return replace(
         terrain,
         buildings=tuple(
-            replace(one, **some) for one in terrain.buildings for some in plans(one.footprint)
+            replace(one, **some)
+            for one in terrain.buildings
+            for some in rounded_plans(one.footprint)
         ),
-        areas=tuple(replace(one, **some) for one in terrain.areas for some in plans(one.footprint)),
+        areas=tuple(
+            replace(one, **some) for one in terrain.areas for some in rounded_plans(one.footprint)
+        ),
         roads=tuple(replace(one, line=line) for one in terrain.roads for line in lines(one.line)),
         barriers=tuple(
             replace(one, line=line) for one in terrain.barriers for line in lines(one.line)

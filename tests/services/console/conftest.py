@@ -52,8 +52,8 @@ class Nobody:
     def ask(self, ask: object, until_s: float) -> None:
         self.asked.append(ask)
 
-    def make_world(self, name: str, osm_map: IO[bytes]) -> None:
-        self.maps.append((name, Path(f"/proc/self/fd/{osm_map.fileno()}").read_bytes()))
+    def make_world(self, name: str, upload: IO[bytes]) -> None:
+        self.maps.append((name, Path(f"/proc/self/fd/{upload.fileno()}").read_bytes()))
 
 
 @pytest.fixture

@@ -109,7 +109,7 @@ def page(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator
 def test_header_leads_when(page: Page, name: str) -> None:
     state, wanted = STATES[name]
     common = {
-        "robot": None, "job": None, "chosen": None, "link": "", "age": 0.1, "ill": "", "simulated": True,
+        "robot": None, "job": None, "chosen": None, "link": "", "age": 0.1, "ill": "", "unattended": True,
         "frames_hz": 10, "sits": False, "taken": False, "distance": None, "drives": 0, "models": 0,
         "untaught": False,
     }  # fmt: skip

@@ -56,12 +56,15 @@ def test_a_map_that_may_not_be_taken_is_not(seated: Page, nobody: Nobody) -> Non
 def test_a_map_that_is_too_large_ends_early(
     seated: Page, nobody: Nobody, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.console.web._LARGEST_MAP", 1_000_000)
-    assert seated.post("/map?name=town", bytes(1_000_001)) == (
-        413,
-        "file too large (maximum 1 MB); cut it smaller\n",
-    )
+    monkeypatch.setattr("services.kit.world_files.LARGEST_MAP", 1_000_000)
+    monkeypatch.setattr("services.kit.world_files.LARGEST_SCAN", 2_000_000)
+    too_large = 413, "map too large (maximum 1 MB); cut it smaller\n"
+    assert seated.post("/map?name=town", bytes(1_000_001)) == too_large
     assert (nobody.maps, kept()) == ([], 0)
+    scan = b"glTF" + bytes(1_000_001)
+    assert seated.post("/map?name=house", scan) == (202, "taken\n")
+    too_large = 413, "scan too large (maximum 2 MB); cut it smaller\n"
+    assert seated.post("/map?name=house", scan + bytes(1_000_000)) == too_large
 
 
 def head(page: Page, *lines: str) -> bytes:

@@ -13,6 +13,7 @@ import pytest
 
 from schemas.base import Message
 from schemas.camera import CompressedImage
+from schemas.rpc import PlanReply, PlanShape
 from services.console.config import ConsoleSettings
 from services.console.live_content import LiveContent
 from services.console.newest_content import Board
@@ -208,6 +209,40 @@ def test_page_draws_course_and_obstacles_over_the_picture(
     eventually(lambda: is_more(90, 140, 0))  # 1 m to the left, at 2.65 m: red
     eventually(lambda: is_more(219, 217, 1))  # 0.6 m to the right, at 2.15 m, on the ground: green
     assert drawn(250, 60) == [128, 128, 128]
+
+
+def test_map_shows_the_plan_of_the_variation_and_the_scheme(
+    page: Page, nobody: Nobody, board: Board
+) -> None:
+    detail = {"world": "pond", "variation": "day", "worlds": "pond"}
+    square = ((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0), (0.0, 0.0))
+
+    def plan(*_: object) -> PlanReply:
+        kind = "water" if detail["variation"] == "day" else "solid"
+        # They overlap in opposite directions.
+        shapes = [PlanShape(kind=kind, points=one, filled=True) for one in (square, square[::-1])]
+        return PlanReply(world="pond", start=(1.0, 1.0), victim=(3.0, 3.0), shapes=tuple(shapes))
+
+    node = SimpleNamespace(
+        subscribe=lambda *_, **__: None,
+        apart=lambda *_: None,
+        bus=SimpleNamespace(call=plan),
+        name="console",
+    )
+    live = LiveContent(node, board, nobody.library)
+    live.health.statuses = {"robot": SimpleNamespace(detail=detail)}
+
+    def shows(*colour: int) -> bool:
+        live._look_at_world()
+        map_canvas = "document.querySelector('#map canvas')"
+        middle = f"getImageData({map_canvas}.width / 2, {map_canvas}.height / 2, 1, 1).data"
+        return run_in(page, f"[...{map_canvas}.getContext('2d').{middle}]")[:3] == list(colour)
+
+    eventually(lambda: shows(181, 211, 232))
+    page.emulate_media(color_scheme="dark")
+    eventually(lambda: shows(28, 51, 70))
+    detail["variation"] = "moved"
+    eventually(lambda: shows(107, 97, 86))
 
 
 def test_box_goes_with_found_unless_the_robot_moves_on(

@@ -15,7 +15,7 @@ from services.simulator.scene.surfaces import Surface
 from services.simulator.variation import DAY
 from services.simulator.world import load_world
 
-#: Extent of the laboratory and area of its floor that the TurtleBot reaches, metres.
+#: Extent of the laboratory, metres.
 SIZE_M = (8.0, 6.0)
 _LARGEST_PX = 512
 _Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
