@@ -19,7 +19,7 @@ from services.simulator.scene.build import build_scene
 from services.simulator.scene.furniture import furnish
 from services.simulator.scene.surfaces import Surface, Tile, surfaces
 from services.simulator.scene.vulkan import cannot_render, load_sapien
-from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, CameraSettings
+from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, FOCAL, CameraSettings
 from services.simulator.sensors.readings import LEVEL, Tilt
 from services.simulator.world.obstacles import Obstacle
 from services.simulator.world.place import OverheadMount, Pose, World
@@ -92,10 +92,12 @@ class SceneCamera:
 
     def __init__(self, world: World, settings: CameraSettings) -> None:
         self._sapien = sapien = load_renderer()
-        self._mount = world.robot.camera
+        self._ahead_m = world.robot.camera.ahead_m
+        self._height_m = world.robot.camera.height_m + settings.raised_m
+        self._pitch_rad = math.radians(settings.pitch_deg)
         above = world.place.overhead
         #: Focal length in pixels of the image.
-        self.focal_px = settings.width / 2 / math.tan(math.radians(FIELD_OF_VIEW_DEG) / 2)
+        self.focal_px = settings.zoom * settings.width * FOCAL
         self._seen_from: tuple[Pose, Tilt] | None = None
         scene = build_scene(world, settings.light)
         try:
@@ -196,9 +198,10 @@ class SceneCamera:
         if (pose, tilt) == self._seen_from:
             return
         self._put_robot(pose)
-        at = (*pose.at(self._mount.ahead_m), self._mount.height_m)
+        at = (*pose.at(self._ahead_m), self._height_m)
         self._hide_tiles(pose)
-        mast = self._sapien.Pose(at, _turn(pose.heading, tilt))
+        pitched = tilt._replace(pitch=tilt.pitch + self._pitch_rad)
+        mast = self._sapien.Pose(at, _turn(pose.heading, pitched))
         self._mast.set_pose(mast)
         if self._sky is not None:
             self._sky.set_pose(self._sapien.Pose(mast.p))
@@ -219,7 +222,7 @@ class SceneCamera:
 
     def _hide_tiles(self, pose: Pose) -> None:
         """Hide the tiles behind the camera and beside its field of view."""
-        x, y = pose.at(self._mount.ahead_m)
+        x, y = pose.at(self._ahead_m)
         cos = math.cos(pose.heading)
         sin = math.sin(pose.heading)
         slope = math.tan(math.radians(FIELD_OF_VIEW_DEG / 2 + _TILT_DEG))
