@@ -41,7 +41,7 @@ def done_in(folder: Path) -> dict[str, dict[str, object]]:
         for path in (folder / "units").glob("*.json")
     }
     return {
-        name: {key: value for key, value in one.items() if key != "cpu_s"}
+        name: {key: value for key, value in one.items() if key not in ("cpu_s", "decision_ms")}
         for name, one in entries.items()
     }
 
