@@ -72,7 +72,7 @@ def write_page(plan: EvaluationPlan, results: Results) -> Path:
     facts = {
         "worlds": ", ".join(world.title for world in plan.worlds),
         "searches": sum(searches),
-        "held-out frames": f"{frames:,}",
+        **({"held-out frames": f"{frames:,}"} if frames else {}),
         "processor time": f"{seconds / 60:.0f} min",
         "version": program_version(),
     }

@@ -211,7 +211,7 @@ class WorldResults:
 def results_of(
     world: WorldPlan, units: Iterable[Unit], findings: Mapping[Unit, Finding]
 ) -> WorldResults:
-    """Collect the results of a world."""
+    """Collect the results of a world; trials with missing searches are left out."""
     here = [
         (unit, findings[unit])
         for unit in units
@@ -230,7 +230,11 @@ def results_of(
             for unit, found in here
             if isinstance(unit, Recognize)
         ],
-        [Success(trial, found, decision_ms[trial]) for trial, found in searches.items()],
+        [
+            Success(trial, found, decision_ms[trial])
+            for trial, found in searches.items()
+            if len(found) == trial.runs
+        ],
         {unit.errand: found for unit, found in here if isinstance(unit, Errand)},
     )
 

@@ -102,3 +102,15 @@ def test_counts_of_searches(world: WorldResults) -> None:
     assert ours.decision_ms == (20.0, 29.0)
     carried = of("smal", kidnap_tick=50)
     assert (carried.right_soon, carried.spl, carried.time_over_taught) == ((6, 8), None, None)
+
+
+def test_trial_is_left_out_when_searches_are_missing(results: Results, world: WorldResults) -> None:
+    findings = {
+        unit: one for unit, one in results.findings.items() if getattr(unit, "which", 0) == 0
+    }
+    left = results_of(SMALL.worlds[0], units(SMALL), findings)
+    missing = {one.trial for one in world.successes} - {one.trial for one in left.successes}
+    assert {(one.driver, one.cell) for one in missing} == {
+        ("smal", "anywhere"),
+        ("teach-and-repeat", "anywhere"),
+    }
