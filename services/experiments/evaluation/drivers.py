@@ -100,7 +100,9 @@ DRIVERS: Final[dict[str, DriverEntry]] = {
         "nearest frame", "repeats the action at the most similar frame", partial(_imitating, 1)
     ),
     "nearest-5": DriverEntry(
-        "nearest 5 frames", "the same, with five successive frames", partial(_imitating, 5)
+        "nearest 5 frames",
+        "repeats the action at the end of the most similar five frames",
+        partial(_imitating, 5),
     ),
     "smal-waits": DriverEntry(
         "SMAL, stop and wait",
@@ -138,7 +140,7 @@ def driver_entry(name: str) -> DriverEntry:
         raise UsageError(f"driver {name}: {attribute!r} not found in the module {module}")
     if not callable(found):
         raise UsageError(f"driver {name}: {attribute!r} is no class; it must take the drives")
-    return DriverEntry(name, "a driver of its own", found)
+    return DriverEntry(name, "given by MODULE:CLASS", found)
 
 
 def _imported(name: str, module: str) -> Any:  # noqa: ANN401 - any module
