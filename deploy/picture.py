@@ -22,8 +22,8 @@ from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
 from services.simulator.world.map_view import draw_map
+from smal.evaluation.drivers import SmalDriver
 from smal.features import FeatureSettings
-from smal.robot import Robot
 from smal.teaching.mapping import learn
 
 OUT: Final = Path(__file__).parent / "pictures" / "teach-and-repeat.webp"
@@ -115,8 +115,8 @@ def main() -> None:
     request = ResetRequest(
         seed=SEED, purpose="run", start="anywhere", obstacles=2, until_said=True, max_ticks=1500
     )
-    robot = Robot(learn([drive_of(held)]), seed=SEED)
-    run = search(simulation, robot, request, picture_ticks=1, until_said=True)
+    driver = SmalDriver(learn([drive_of(held)]))
+    run = search(simulation, driver, request, picture_ticks=1)
     repeated = run.poses[:, :2]
     print(f"seed {SEED}: {run.outcome} after {len(repeated) * TICK_S:.0f} s")  # noqa: T201
     boxes = [np.asarray(thing.footprint.exterior.coords) for thing in simulation.obstacles]

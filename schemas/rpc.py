@@ -12,8 +12,8 @@ from schemas.base import MAX_TICK, EpisodeId, SessionId, Strict
 from schemas.episode import Box, GoalName, Purpose, Said, Victim
 
 Mode = Literal["lockstep", "realtime"]
-# About the world's start, or anywhere beside the way from there to the victim.
-Start = Literal["start", "anywhere"]
+# About the world's start, the same turned round, or anywhere beside the way from there to the victim.
+Start = Literal["start", "turned", "anywhere"]
 #: Localisation by a filter over the map of views, or by the paper's Eq. 7 to 9 with a decision every
 #: l frames.
 Scheme = Literal["filter", "paper"]
@@ -125,8 +125,8 @@ class ResetRequest(Strict):
     seed: Annotated[int, Field(ge=0, lt=2**63)]  # Seed of start pose and actuation noise.
     purpose: Purpose = "run"  # Set of starts to draw from.
     driver: Driver = "policy"
-    #: Start of a run; anywhere: up to 1.5 m beside the way (less indoors), turned by up to 40
-    #: degrees.
+    #: Start of a run; turned: with the back to the way; anywhere: up to 1.5 m beside the way (less
+    #: indoors), turned by up to 40 degrees.
     start: Start = "start"
     #: Frame at which the robot is kidnapped: moved to another such place while its wheels stand.
     kidnap_tick: Annotated[int | None, Field(ge=1, le=MAX_TICKS)] = None

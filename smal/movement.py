@@ -28,6 +28,16 @@ class Atom(IntEnum):
     RIGHT = 4
 
 
+#: Full speed of each atom.
+MOTIONS: Final[dict[Atom, Motion]] = {
+    Atom.STOP: STANDS,
+    Atom.FORWARD: (1.0, 0.0),
+    Atom.BACKWARD: (-1.0, 0.0),
+    Atom.LEFT: (0.0, 1.0),
+    Atom.RIGHT: (0.0, -1.0),
+}
+
+
 @dataclass(frozen=True)
 class Movement:
     """A small planar movement: the way along the heading, and the turn, counter-clockwise, in radians.

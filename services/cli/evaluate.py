@@ -1,4 +1,4 @@
-"""``smal evaluate``: the paper's experiments in simulation, as a page of results."""
+"""``smal evaluate``: the paper's experiments, or a comparison of drivers, as a page of results."""
 
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -10,11 +10,15 @@ import typer
 from typer import Option
 
 from services.cli import options, outputs
+from services.experiments.evaluation.drivers import COMPARED, DRIVERS
 from services.experiments.evaluation.plan import (
+    CELLS,
+    COMPARED_RUNS,
     PLANS,
     TAUGHT,
     EvaluationPlan,
     Trial,
+    comparison,
     in_world,
     with_each,
 )
@@ -40,6 +44,28 @@ class PlanSize:
         Option(min=TAUGHT, max=1000, help=f"Number of searches, shared by {TAUGHT} drives."),
     ] = None
     base: options.Base = None
+    drivers: Annotated[
+        str | None,
+        Option(
+            metavar="NAMES",
+            help="Comparison of drivers instead of the experiments, comma-separated: "
+            f"{', '.join(DRIVERS)}. [default of a comparison: {','.join(COMPARED)}]",
+        ),
+    ] = None
+    driver: Annotated[
+        list[str] | None,
+        Option(
+            metavar="MODULE:CLASS",
+            help="Further driver of the comparison (services/experiments/PROTOCOL.md).",
+        ),
+    ] = None
+    cells: Annotated[
+        str | None,
+        Option(
+            metavar="NAMES",
+            help=f"Cells of the comparison, comma-separated: {', '.join(CELLS)}. [default: all]",
+        ),
+    ] = None
 
     def plan(self, changes: options.Changes) -> EvaluationPlan:
         """Return the plan of the evaluation, with the changes of each trial."""
@@ -49,6 +75,10 @@ class PlanSize:
                 "world has a fixed size"
             )
         plan = PLANS["quick" if self.quick else "full"] if self.world is None else _of(self.world)
+        if (self.drivers, self.driver, self.cells) != (None, None, None):
+            drivers = (*_names(self.drivers or ",".join(COMPARED)), *(self.driver or ()))
+            runs = TAUGHT if self.quick else COMPARED_RUNS
+            plan = comparison(plan, drivers, _names(self.cells or ",".join(CELLS)), runs)
         changed = changes.other_than_taught
 
         def change(trial: Trial) -> Trial:
@@ -56,6 +86,10 @@ class PlanSize:
             return replace(trial, runs=runs, **changed)
 
         return with_each(replace(plan, base=self.base or plan.base), change)
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",")]
 
 
 def _of(world: str) -> EvaluationPlan:
@@ -74,16 +108,21 @@ def evaluate(
         bool, Option("--report-only", help="Write only the page, from finished results.")
     ] = False,
 ) -> None:
-    """Run the paper's experiments in simulation and write a page of results.
+    """Run the paper's experiments in simulation, or compare drivers, and write a page of results.
 
     OUT/index.html is a self-contained page. OUT/figures holds its figures and OUT/results.json the
     numbers. The whole evaluation takes about an hour on two idle cores.
+
+    With --drivers, --driver or --cells the command compares drivers instead: each has 50 searches
+    in each cell, after five drives that teach one by one.
 
     The work is done in units: a drive, a model, or the searches of one driver under one condition.
     After an interruption, the same command continues with the remaining units. --report-only writes
     a page of the finished units at any time.
 
     Example: smal evaluate --out evaluation --quick
+
+    Example: smal evaluate --out comparison --world indoor --driver my_driver:MyDriver
     """
     if report_only and not out.is_dir():
         raise UsageError(f"--out {out}: folder not found")

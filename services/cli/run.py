@@ -36,7 +36,11 @@ class Runs:
     episodes: Annotated[int, Option(min=1, help="Number of runs.")] = 20
     seed: options.Seed = 1
     start: Annotated[
-        Start, Option(help="Start: near the world's start, or anywhere beside the route.")
+        Start,
+        Option(
+            help="Start: near the world's start, the same turned round, or anywhere beside the "
+            "route."
+        ),
     ] = "start"
     kidnap: Annotated[
         int | None,

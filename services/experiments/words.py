@@ -15,6 +15,7 @@ def condition(run: Mapping[str, Any], more: Mapping[str, object] = MappingProxyT
     """Describe how a run (fields of a request or trial) differs from teaching."""
     differences = dict(more) | {
         "from anywhere": run["start"] == "anywhere",
+        "turned round": run["start"] == "turned",
         "kidnapped": run["kidnap_tick"],
         f"victim {run['victim']}": run["victim"] != "there",
         counted(run["obstacles"], "obstacle"): run["obstacles"],

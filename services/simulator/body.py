@@ -91,7 +91,7 @@ class SimulatedBody:
         with self._lock:
             try:
                 self.simulation.reset(
-                    request.seed, request.purpose, anywhere=request.start == "anywhere", victim=request.victim,
+                    request.seed, request.purpose, start=request.start, victim=request.victim,
                     obstacles=request.obstacles, people=request.people, blocked=request.blocked,
                 )  # fmt: skip
             except WorldError as error:

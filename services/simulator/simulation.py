@@ -10,6 +10,7 @@ from shapely import LineString, Point
 
 from schemas.base import Velocity
 from schemas.episode import Purpose, Victim
+from schemas.rpc import Start
 from schemas.topics import Topic
 from services.simulator.base import STEP_S, Base, KinematicBase
 from services.simulator.sensors.camera import FOCAL, CameraSettings, SimulatedView
@@ -90,7 +91,7 @@ class Simulation:
         seed: int,
         purpose: Purpose,
         *,
-        anywhere: bool = False,
+        start: Start = "start",
         victim: Victim = "there",
         obstacles: int = 0,
         people: int = 0,
@@ -105,8 +106,8 @@ class Simulation:
             seed are independent.
         purpose : Purpose
             Purpose of the episode; sets the scatter of the start.
-        anywhere : bool
-            Whether to begin beside the route.
+        start : Start
+            Kind of the start.
         victim : Victim
             Placement of the victim.
         obstacles, people : int
@@ -125,10 +126,12 @@ class Simulation:
             The world has too little room for these obstacles or people.
         """
         self._seed = seed, _PURPOSE_NUMBER[purpose]
-        start, wheels, odometry, imu, shake = (self._chance(stream) for stream in range(5))
+        place, wheels, odometry, imu, shake = (self._chance(stream) for stream in range(5))
         self.pose = self._start = sample_start(
-            self.world, start, "recovery" if anywhere else purpose
+            self.world, place, "recovery" if start == "anywhere" else purpose
         )
+        if start == "turned":
+            self.pose = self._start = self._start.turned_round
         self._obstruct(obstacles, blocked)
         self.people = (
             walk_about(self.world, LineString(self.route()), self._chance(9), people)

@@ -1,1 +1,1 @@
-"""Evaluation: ground truth, precision and recall, success rates, and baselines."""
+"""Evaluation: ground truth, precision and recall, the protocol of drivers, and baselines."""

@@ -21,15 +21,14 @@ from typing import Final, NamedTuple, TypeVar
 import numpy as np
 
 from smal.arrays import Float32s, Floats, Uint8s
-from smal.movement import Atom, placed, seen_from
+from smal.evaluation.driver import Depth, PlaceEstimate
+from smal.evaluation.image_shift import padded, prepared, turn_to
+from smal.movement import MOTIONS, Atom, Motion, placed, seen_from
+from smal.planning import Said
 from smal.teaching.demonstration import Demonstration
 from smal.teaching.movements import atom_movements
 
 _T = TypeVar("_T")
-#: Size of compared images, and side of the square that normalises each pixel.
-COLUMNS = 115
-ROWS = 44
-PATCH = 9
 #: Distance between keyframes: theirs are 0.2 m apart, 0.5 s of a slow indoor robot.
 SPACING_ATOMS: Final = 5.0
 #: Turn between keyframes, and heading error of a reached goal.
@@ -52,7 +51,7 @@ SURE = 0.3
 
 
 class _Route(NamedTuple):
-    """Frames, poses (k, 3) and padded images of the keyframes of one drive."""
+    """Frames, counted over all drives, poses (k, 3) and padded images of the keyframes of one drive."""
 
     frames: list[int]
     poses: Floats
@@ -89,11 +88,15 @@ class TeachAndRepeat:
         self._spacing = SPACING_ATOMS * float(movements[Atom.FORWARD, 0])
         if not (self._turn > 0.0 and self._spacing > 0.0):
             raise ValueError("the drives must show at least one turn and one way ahead")
-        self._routes = [self._route_of(*taught) for taught in zip(images, ways, strict=True)]
+        firsts = np.cumsum([0, *map(len, ways[:-1])]).tolist()
+        self._routes = [
+            self._route_of(*taught) for taught in zip(images, ways, firsts, strict=True)
+        ]
         self.reset()
 
-    def reset(self) -> None:
-        """Start a new episode."""
+    def reset(self, seed: int = 0) -> None:
+        """Start a new episode; the method has no random numbers."""
+        del seed
         self._route: _Route | None = None
         self._index = 0
         self._looked_rad = 0.0
@@ -103,22 +106,36 @@ class TeachAndRepeat:
         self._best = (-math.inf, 0, 0, (0.0, 0.0, 0.0))
 
     @property
-    def done(self) -> bool:
-        """Whether the robot has reached the end of its drive."""
-        return self._route is not None and self._index >= len(self._route.poses)
+    def said(self) -> Said | None:
+        """Announced result: "found" at the end of the drive."""
+        ended = self._route is not None and self._index >= len(self._route.poses)
+        return "found" if ended else None
 
     @property
-    def place(self) -> int | None:
+    def place(self) -> PlaceEstimate | None:
         """Taught frame in the middle between the last goal and the next; None while the robot looks around."""
         if self._route is None:
             return None
         frames = self._route.frames
-        return (frames[self._index - 1] + frames[min(self._index, len(frames) - 1)]) // 2
+        return PlaceEstimate(
+            (frames[self._index - 1] + frames[min(self._index, len(frames) - 1)]) // 2
+        )
 
-    def step(self, image: Uint8s, odometry: Sequence[float]) -> Atom:
-        """Return the next atom for an RGB image (height, width, 3), and the odometry (x, y, heading) of the episode."""
+    def step(
+        self,
+        image: Uint8s,
+        odometry: Sequence[float],
+        depth: Depth | None = None,
+        elapsed_s: float | None = None,
+    ) -> Motion:
+        """Return the velocity until the next image; see `Driver.step`."""
+        del depth, elapsed_s
+        return MOTIONS[self._atom(image, odometry)]
+
+    def _atom(self, image: Uint8s, odometry: Sequence[float]) -> Atom:
+        """Return the next atom."""
         here = np.asarray(odometry, dtype=np.float64)
-        seen = _prepared(image)
+        seen = prepared(image)
         route = self._route or self._begin(seen, here)
         if route is None:
             return Atom.LEFT
@@ -144,7 +161,7 @@ class TeachAndRepeat:
             return Atom.FORWARD
         return Atom.LEFT if off_rad > 0.0 else Atom.RIGHT
 
-    def _route_of(self, images: Sequence[Uint8s], odometry: Floats) -> _Route:
+    def _route_of(self, images: Sequence[Uint8s], odometry: Floats, first: int) -> _Route:
         """Select the first frame, the last, and one after each spacing or turn."""
         keys = [0]
         for frame, pose in enumerate(odometry):
@@ -152,23 +169,14 @@ class TeachAndRepeat:
             far = math.hypot(x, y) > self._spacing or abs(heading) > TURNED_RAD
             if far or frame == len(odometry) - 1:
                 keys.append(frame)
-        margin = ((0, 0), (COLUMNS // 2, COLUMNS // 2))
-        padded = [np.pad(_prepared(images[key]), margin) for key in keys]
-        return _Route(keys, odometry[keys], padded)
-
-    def _match(self, seen: Float32s, taught: Float32s) -> tuple[float, float]:
-        """Return the turn to the taught heading, radians to the left, and the correlation there."""
-        import cv2  # noqa: PLC0415 - see smal.features.hog
-
-        correlations = cv2.matchTemplate(taught, seen, cv2.TM_CCOEFF_NORMED)[0]
-        best = int(correlations.argmax())
-        return (best - COLUMNS // 2) * self._field / COLUMNS, float(correlations[best])
+        frames = [first + key for key in keys]
+        return _Route(frames, odometry[keys], [padded(prepared(images[key])) for key in keys])
 
     def _begin(self, seen: Float32s, here: Floats) -> _Route | None:
         """Find the place of the robot; None while it must turn left to look around."""
         for number, route in enumerate(self._routes):
             for key, taught in enumerate(route.images[: 1 if self._told else -1]):
-                off, correlation = self._match(seen, taught)
+                off, correlation = turn_to(taught, seen, self._field)
                 place = (float(here[0]), float(here[1]), float(here[2]) + off)
                 self._best = max(self._best, (correlation + FIRST * (key == 0), number, key, place))
         if not math.isnan(self._heading):
@@ -200,7 +208,7 @@ class TeachAndRepeat:
         """Turn the goal about the robot, and move it nearer or further, by the correlations with nearby keyframes."""
         reach = min(SEARCH, self._index - 1, len(route.poses) - 1 - self._index)
         nearby = route.images[self._index - 1 - reach : self._index + reach + 1]
-        offs, correlations = np.array([self._match(seen, taught) for taught in nearby]).T
+        offs, correlations = np.array([turn_to(taught, seen, self._field) for taught in nearby]).T
         # Fraction of the way from the last goal to this goal behind the robot, by odometry and by images.
         leg = seen_from(self._goal, self._last)[:2]
         driven = seen_from(here, self._last)[:2]
@@ -226,15 +234,3 @@ def _kept(recorded: _T | None, name: str) -> _T:
     if recorded is None:
         raise ValueError(f"demonstration {name}: teach and repeat needs images and odometry")
     return recorded
-
-
-def _prepared(image: Uint8s) -> Float32s:
-    """Return a grey image (44, 115), normalised by mean and deviation of the square around each pixel, in [-1, 1]."""
-    import cv2  # noqa: PLC0415 - see above
-
-    grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
-    small = cv2.resize(grey, (COLUMNS, ROWS), interpolation=cv2.INTER_AREA).astype(np.float32)
-    mean = cv2.blur(small, (PATCH, PATCH))
-    # Deviations below one grey level are rounding.
-    deviation = np.sqrt(np.maximum(cv2.blur(small * small, (PATCH, PATCH)) - mean * mean, 1.0))
-    return np.clip((small - mean) / deviation, -1.0, 1.0).astype(np.float32)

@@ -12,8 +12,8 @@ from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.world.place import Pose
 from services.simulator.world.route import route_length_m
+from smal.evaluation.drivers import SmalDriver
 from smal.features import FeatureSettings
-from smal.robot import Robot
 from smal.teaching.mapping import learn
 
 _NORTHWARDS = math.pi / 2.0
@@ -86,10 +86,16 @@ def run_errand(
         for number, (each, one) in enumerate(zip(made, task.taught, strict=True))
     ])  # fmt: skip
     simulation = open_simulation(world, camera, task=(task.start, task.victim))
-    robot = Robot(model, task.goal)
+    driver = SmalDriver(model, task.goal)
     patience = 3 * max(len(one["poses"]) for one in made)
-    requests = [ResetRequest(seed=seed, purpose="run", max_ticks=patience) for seed in seeds]
-    found = [search(simulation, robot, request, until_said=True) for request in requests]
+    found = [
+        search(
+            simulation,
+            driver,
+            ResetRequest(seed=seed, purpose="run", max_ticks=patience, until_said=True),
+        )
+        for seed in seeds
+    ]
     return {
         "outcomes": [one.outcome for one in found],
         "driven_m": [round(one.driven_m, 2) for one in found],

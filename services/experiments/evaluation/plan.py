@@ -1,18 +1,23 @@
 """Contents of an evaluation as data: `QUICK` and `FULL`."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from schemas.episode import Victim
 from schemas.rpc import Start
+from services.experiments.evaluation.drivers import (
+    DEFAULT_LENGTH,
+    LENGTHS,
+    DriverEntry,
+    driver_entry,
+)
 from services.experiments.words import condition
+from services.kit.errors import UsageError
 from services.simulator.opening import BaseKind
-from smal.paper.learning import LearningSettings
 
-DEFAULT_LENGTH: Final = LearningSettings().sequence_length  # Sequence length; the filter has none.
 #: First seed of taught drives, as in the README; the seeds of queries are beyond all of them.
 TEACHING_SEED = 1
 QUERY_SEED = 1000
@@ -23,32 +28,14 @@ JUDGED_TICKS: Final = 4  # Distance of judged frames: ten per second show nearly
 #: after one drive, each of which teaches alone.
 RUNS = 10
 TAUGHT = 5
-#: Methods that search, with a name and a description. All learn from the same drives.
-CONTROLLERS: Final = {
-    "smal": ("SMAL", "the filter and the planner, at every frame"),
-    "teach-and-repeat": (
-        "teach and repeat",
-        "wheels, corrected by the shift of the image (Dall'Osto et al. 2021)",
-    ),
-    "teach-and-repeat-told": (
-        "teach and repeat, told",
-        "the same, with the start of the drive given",
-    ),
-    "paper": ("the paper's scheme", "a decision every l frames"),
-    "nearest-1": ("imitating the nearest frame", "repeats the action at the most similar frame"),
-    "nearest-5": ("imitating the nearest 5 frames", "the same, with five successive frames"),
-    "smal-waits": (
-        "SMAL, stop and wait",
-        "without depth: its guard alone stops it before an obstacle",
-    ),
-    "smal-unguarded": ("SMAL, avoidance off", "without a depth camera, and so without a guard"),
-}
 # Variants of SMAL to compare when there are obstacles.
 _PARTS: Final = (
     "smal-waits",
     "smal-unguarded",
 )
 _BEST: Final = ("smal", "teach-and-repeat", "teach-and-repeat-told")
+# Drivers by number of drives.
+_USUAL: Final = (*_BEST, "place-filter", f"paper-{DEFAULT_LENGTH}", "nearest-1", "nearest-5")
 # Number per drive, for the paper's scheme: 60 for twelve drives, which proved to be enough.
 _RECOVERIES: Final = 5
 # Light and seasons that differ from the drives.
@@ -66,6 +53,20 @@ ELSEWHERE: Final[tuple[Victim, ...]] = (
 )
 # Frame of the kidnapping: well after the start, and far from the goal.
 _KIDNAP: Final = 100
+#: Cells of a comparison: what differs from teaching, as fields of a `Trial`.
+CELLS: Final[dict[str, dict[str, Any]]] = {
+    "start": {},
+    "anywhere": {"start": "anywhere"},
+    "kidnapped": {"kidnap_tick": _KIDNAP},
+    "turned": {"start": "turned"},
+    "light": {"variation": "evening"},
+    "moved-camera": {"moved_camera": True},
+    "obstacles": {"obstacles": 3},
+    "people": {"people": 3},
+    "absent": {"victim": "absent"},
+}
+#: Searches of a driver in a cell of a comparison.
+COMPARED_RUNS: Final = 50
 
 
 @dataclass(frozen=True)
@@ -100,10 +101,9 @@ class RecognizerName:
 class Trial:
     """Searches that differ by seed, divided among sets of drives, each of which teaches alone."""
 
-    controller: str
+    driver: str  # Name, as in `driver_entry`.
     drives: int
     runs: int
-    length: int = DEFAULT_LENGTH  # For the paper's scheme.
     degradation: str = "clean"
     variation: str = "day"
     start: Start = "start"
@@ -113,6 +113,27 @@ class Trial:
     obstacles: int = 0
     people: int = 0
     blocked: bool = False
+    moved_camera: bool = False  # Whether the camera has moved since teaching.
+
+    @property
+    def entry(self) -> DriverEntry:
+        """The driver."""
+        return driver_entry(self.driver)
+
+    @property
+    def length(self) -> int | None:
+        """Sequence length of the paper's scheme; None for other drivers."""
+        return self.entry.length
+
+    @property
+    def cell(self) -> str | None:
+        """Name of the cell of a comparison; None for other conditions."""
+        cells = (
+            name
+            for name, changes in CELLS.items()
+            if self == Trial(self.driver, 1, self.runs, sets=self.sets, **changes)
+        )
+        return next(cells, None)
 
     @property
     def hindered(self) -> bool:
@@ -121,14 +142,13 @@ class Trial:
 
     @property
     def recoveries(self) -> int:
-        """Number of recovery drives: without them the paper's scheme has no states beside the route."""
-        return _RECOVERIES * self.drives if self.controller == "paper" else 0
+        """Number of recovery drives."""
+        return 0 if self.length is None else _RECOVERIES * self.drives
 
     @property
     def title(self) -> str:
-        """Name of the driver on the page."""
-        name, _ = CONTROLLERS[self.controller]
-        return f"{name}, l = {self.length}" if self.controller == "paper" else name
+        """Title of the driver on the page."""
+        return self.entry.title
 
     @property
     def condition(self) -> str:
@@ -136,6 +156,7 @@ class Trial:
         own = {
             self.variation: self.variation != "day",
             self.degradation: self.degradation != "clean",
+            "camera moved": self.moved_camera,
         }
         return condition(vars(self), own)
 
@@ -207,15 +228,15 @@ def _conditions(runs: int) -> tuple[Trial, ...]:
 def _trials(
     counts: tuple[int, ...], runs: int, others: int, lengths: tuple[int, ...]
 ) -> tuple[Trial, ...]:
-    """Return the searches of all controllers by number of drives, and of the best two by condition."""
+    """Return the searches of all drivers by number of drives, and of the best two by condition."""
     each = (
         Trial(name, drives, runs if name in _BEST else others)
         for drives in counts
-        for name in CONTROLLERS
-        if name not in _PARTS and (drives > 1 or name not in _BEST)
+        for name in _USUAL
+        if drives > 1 or name not in _BEST
     )
     paper = (
-        Trial("paper", max(counts), others, length, view)
+        Trial(f"paper-{length}", max(counts), others, degradation=view)
         for length in lengths
         for view in ("clean", "poor")
     )
@@ -230,7 +251,7 @@ FULL: Final = EvaluationPlan(
         *(
             WorldPlan(
                 world, criterion, drives=4, queries=3, lengths=(1, 5, 10, 20, 40),
-                recognized=("clean", "occluded", "poor"), trials=_trials((1, 2, 4, 12), RUNS, 5, (1, 2, 5, 10, 20, 40)),
+                recognized=("clean", "occluded", "poor"), trials=_trials((1, 2, 4, 12), RUNS, 5, LENGTHS),
             )
             for world, criterion in (("indoor", _INDOOR), ("campus", _OUTDOOR))
         ),
@@ -258,18 +279,54 @@ PLANS: Final = {plan.name: plan for plan in (QUICK, FULL)}
 
 
 def with_each(plan: EvaluationPlan, change: Callable[[Trial], Trial]) -> EvaluationPlan:
-    """Return a plan with each trial changed, without duplicates."""
+    """Return a plan with each trial changed, without duplicates.
+
+    If the change hinders SMAL, its variants are compared as well.
+    """
 
     def changed(trial: Trial) -> Iterator[Trial]:
         yield (made := change(trial))
-        if made.controller == "smal" and made.hindered:
-            yield from (replace(made, controller=name) for name in _PARTS)
+        if made.driver == "smal" and made.hindered and not trial.hindered:
+            yield from (replace(made, driver=name) for name in _PARTS)
 
     worlds = (
         replace(one, trials=tuple(dict.fromkeys(chain(*map(changed, one.trials)))))
         for one in plan.worlds
     )
     return replace(plan, worlds=tuple(worlds))
+
+
+def comparison(
+    plan: EvaluationPlan, drivers: Sequence[str], cells: Sequence[str], runs: int
+) -> EvaluationPlan:
+    """Return the comparison of drivers in cells, after one drive, in the worlds of a plan.
+
+    Parameters
+    ----------
+    drivers : sequence of str
+        Names, as in `driver_entry`.
+    cells : sequence of str
+        Names of `CELLS`.
+    runs : int
+        Number of searches of each driver in each cell.
+
+    Raises
+    ------
+    UsageError
+        A driver or a cell is not found.
+    """
+    for cell in cells:
+        if cell not in CELLS:
+            raise UsageError(f"cell {cell!r} not found; choose from {', '.join(CELLS)}")
+    for driver in drivers:
+        driver_entry(driver)
+    trials = tuple(
+        Trial(driver, 1, runs, sets=min(runs, TAUGHT), **CELLS[cell])
+        for cell in dict.fromkeys(cells)
+        for driver in dict.fromkeys(drivers)
+    )
+    worlds = tuple(WorldPlan(one.world, one.criterion, trials=trials) for one in plan.worlds)
+    return replace(plan, name="comparison", worlds=worlds, omitted=())
 
 
 def in_world(world: str, aside_m: float) -> EvaluationPlan:

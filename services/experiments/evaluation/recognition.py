@@ -1,6 +1,6 @@
-"""Place recognition as in the paper's experiments: by Eq. 9, and by the nearest frames."""
+"""Place recognition as in the paper's experiments, and its evaluation."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,16 +11,12 @@ from services.experiments.evaluation.drives import views_of_expert
 from services.experiments.evaluation.plan import JUDGED_TICKS, Criterion
 from services.simulator.simulation import Simulation
 from smal.evaluation.ground_truth import judge_by_poses
-from smal.features import Centering, FeatureSettings, extract
-from smal.movement import Atom
+from smal.features import FeatureSettings, extract
 from smal.paper.model import PaperModel
 from smal.paper.phase import matched_phase
 from smal.paper.sequences import last_frames
 from smal.paper.state_matching import solve
 from smal.place_recognition import Matches
-from smal.place_recognition.matches import NONE
-from smal.place_recognition.nearest_sequence import match_nearest_sequence
-from smal.teaching.demonstration import Demonstration
 
 
 def query_drive(
@@ -72,53 +68,6 @@ def demonstrated_frames(model: PaperModel) -> Callable[[int, float], int]:
     begin = np.concatenate(ends)[made] - model.sequence_length + 1
     last = np.repeat(starts + counts - 1, [len(each) for each in ends])[made]
     return lambda state, phase: int(min(begin[state] + round(phase), last[state]))
-
-
-def recognize_nearest(
-    drives: Sequence[NDArray[np.float32]], views: NDArray[np.float32], length: int
-) -> Matches:
-    """Match each window of centred features with the most similar window of all drives.
-
-    Windows do not cross the border of two drives.
-    """
-    found = [match_nearest_sequence(each, views, length) for each in drives]
-    starts = np.cumsum([0, *map(len, drives[:-1])])
-    scores = np.stack([np.where(one.matched, one.score, -np.inf) for one in found])
-    references = np.stack([start + one.reference for start, one in zip(starts, found, strict=True)])
-    best = scores.argmax(axis=0)
-    every = np.arange(len(views))
-    matched = np.isfinite(scores.max(axis=0))
-    answered = np.where(matched, references[best, every], NONE)
-    score = np.where(matched, scores[best, every], 0.0)
-    return Matches(answered, score, np.zeros(len(views)))
-
-
-class NearestImitation:
-    """Repeats the action at the demonstrated frame with the most similar window."""
-
-    def __init__(
-        self, demonstrations: Sequence[Demonstration], features: FeatureSettings, frames: int = 1
-    ) -> None:
-        self._features = features
-        self._frames = frames
-        raw = [one.rows for one in demonstrations]
-        self._centering = Centering.fit(raw, features)
-        self._drives = [self._centering.apply(each) for each in raw]
-        self._atoms = np.concatenate([one.atoms for one in demonstrations])
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget all frames before a new episode."""
-        self._seen: list[NDArray[np.float32]] = []
-
-    def step(self, image: NDArray[np.uint8], odometry: Sequence[float] | None = None) -> Atom:
-        """Return the action for an image, (height, width, 3) RGB; the odometry is ignored."""
-        del odometry
-        self._seen = [*self._seen, self._centering.apply(extract(image, self._features))][
-            -self._frames :
-        ]
-        matches = recognize_nearest(self._drives, np.stack(self._seen), len(self._seen))
-        return Atom(int(self._atoms[matches.reference[-1]]))
 
 
 def judged(

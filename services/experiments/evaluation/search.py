@@ -6,16 +6,15 @@ from that frame on. A test checks that the same seed gives the same poses.
 """
 
 import math
-from collections.abc import Sequence
+import time
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol, cast
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from schemas.base import KEYS, TICK_S, Velocity
-from schemas.base import Atom as AtomName
+from schemas.base import TICK_S, Velocity
 from schemas.episode import Outcome, Said
 from schemas.rpc import ResetRequest
 from services.experiments.evaluation.degradation import Degrader
@@ -25,20 +24,10 @@ from services.robot.messages import rounded
 from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
 from services.simulator.world.route import route_length_m
-from smal.movement import Atom, Motion, placed, seen_from
-from smal.robot import Robot, TaughtPlace
+from smal.evaluation.driver import Driver, PlaceEstimate
+from smal.movement import Atom, placed, seen_from
 
 PICTURE_TICKS: Final = 10  # Spacing of the images of an example route, frames.
-
-
-class Driver(Protocol):
-    """A driver. Optional: position (`where`, `lost`), announcement (`said`), and end (`done`)."""
-
-    def reset(self) -> None:
-        """Reset for a new episode."""
-
-    def step(self, image: NDArray[np.uint8], odometry: Sequence[float]) -> Atom | Motion:
-        """Return the movement for an image, RGB, and the pose by odometry."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +40,9 @@ class SearchRun:
     # (ticks + 1,): from the robot's side to the nearest obstacle or person.
     clearance_m: NDArray[np.float64]
     shortest_m: float  # Length of the route from the start to where the victim counts as found.
-    #: Estimated place at every frame, None while lost; empty for drivers without an estimate.
-    places: tuple[TaughtPlace | None, ...] = ()
+    places: tuple[PlaceEstimate | None, ...]  # Estimated place at every frame; None while lost.
+    arrival_m: float  # Distance to the victim, or to its taught place, at the end.
+    decision_ms: NDArray[np.float64]  # Wall time of each decision.
     # At chosen ticks, (height, width, 3) RGB.
     pictures: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
     kidnap_tick: int = 0
@@ -108,50 +98,46 @@ def search(
     request: ResetRequest,
     degrader: Degrader | None = None,
     picture_ticks: int = 0,
-    *,
-    until_said: bool = False,
-    waits: bool = False,
 ) -> SearchRun:
-    """Run one search of a driver.
+    """Run one search of a driver, until its announcement or the end of the episode.
 
     Parameters
     ----------
-    degradation
+    degrader
         Degradation of the images.
     picture_ticks
         Spacing of the images to keep, frames (0: no image).
-    until_said
-        Whether the driver's announcement ends the search.
-    waits
-        Whether to withhold depth images from the driver, so that only its guard avoids obstacles.
     """
-    kind = type(driver)
-    until_said = until_said and any(hasattr(kind, name) for name in ("said", "done"))
-    episode = LockstepEpisode(simulation, request.model_copy(update={"until_said": until_said}))
-    driver.reset()
+    episode = LockstepEpisode(simulation, request)
+    driver.reset(request.seed)
     # The search ends where the victim counts as found.
     shortest_m = max(route_length_m(np.array(episode.beginning.route)) - simulation.found_m, 0.0)
     camera = _Camera(degrader, picture_ticks)
     poses = [episode.view.pose]
     clearance_m = [simulation.clearance_m]
     atoms = list[Atom]()
-    places = list[TaughtPlace | None]()
+    places = list[PlaceEstimate | None]()
+    decision_ms = list[float]()
     said: Said | None = None
     while True:
         view = episode.view
         image = camera.see(episode.tick, view.image)
         if episode.outcome is not None:
             break
-        depth = None if waits or view.depth is None else (view.depth, simulation.mount)
-        velocity = _velocity(driver, image, rounded(view.odometry)[:3], depth)
-        if hasattr(kind, "where"):
-            places.append(None if driver.lost else driver.where)  # type: ignore[attr-defined]
-        if (said := _said(driver)) is not None:
+        mount = simulation.mount
+        depth = None if view.depth is None or mount is None else (view.depth, mount)
+        began_s = time.perf_counter()
+        motion = driver.step(image, rounded(view.odometry)[:3], depth, TICK_S)
+        decision_ms.append(1e3 * (time.perf_counter() - began_s))
+        places.append(driver.place)
+        if (said := driver.said) is not None:
             break
+        velocity = Velocity(*motion)
         poses.append(episode.step(velocity).pose)
         clearance_m.append(simulation.clearance_m)
         atoms.append(Atom[velocity.atom().upper()])
     ended = Ended(cast("Outcome", episode.outcome)) if said is None else episode.end(said)
+    victim = simulation.victim or simulation.world.victim
     return SearchRun(
         ended.outcome,
         poses=np.array([[pose.x, pose.y, pose.heading] for pose in poses]),
@@ -159,29 +145,12 @@ def search(
         clearance_m=np.array(clearance_m),
         shortest_m=shortest_m,
         places=tuple(places),
+        arrival_m=math.hypot(victim.x - poses[-1].x, victim.y - poses[-1].y),
+        decision_ms=np.array(decision_ms),
         pictures=camera.kept,
         kidnap_tick=request.kidnap_tick or 0,
         right=ended.right,
     )
-
-
-def _velocity(
-    driver: Driver,
-    image: NDArray[np.uint8],
-    odometry: Sequence[float],
-    depth: tuple[Any, ...] | None,
-) -> Velocity:
-    sees = {"depth": depth} if isinstance(driver, Robot) and depth is not None else {}
-    movement = driver.step(image, odometry, **sees)
-    if isinstance(movement, Atom):
-        return KEYS[cast(AtomName, movement.name.lower())]
-    return Velocity(*movement)
-
-
-def _said(driver: Driver) -> Said | None:
-    if hasattr(driver, "said"):
-        return cast("Said | None", driver.said)
-    return "found" if getattr(driver, "done", False) else None
 
 
 def finding(found: SearchRun, taught: NDArray[np.float64], criterion: Criterion) -> dict[str, Any]:
@@ -206,18 +175,19 @@ def finding(found: SearchRun, taught: NDArray[np.float64], criterion: Criterion)
         "clearance_p5_m": round(float(np.percentile(found.clearance_m, 5)), 4),
         "turns": found.turns,
         "jerk_m_s3": round(found.jerk_m_s3, 3),
+        "arrival_m": round(found.arrival_m, 3),
     }
-    if found.places:
-        sure = np.array([place is not None for place in found.places])
-        right = np.array(
-            [
-                _is_right(*pair, taught, criterion)
-                for pair in zip(found.places, found.poses, strict=False)
-            ]
-        )
-        said["wrong_share"] = round(float((sure & ~right).mean()), 4)
-        if 0 < found.kidnap_tick <= len(found.atoms):
-            said["right_after_s"] = _right_after_s(right[found.kidnap_tick :])
+    sure = np.array([place is not None for place in found.places])
+    right = np.array(
+        [
+            _is_right(*pair, taught, criterion)
+            for pair in zip(found.places, found.poses, strict=False)
+        ]
+    )
+    said["sure_share"] = round(float(sure.mean()), 4)
+    said["wrong_share"] = round(float((sure & ~right).mean()), 4)
+    if 0 < found.kidnap_tick <= len(found.atoms):
+        said["right_after_s"] = _right_after_s(right[found.kidnap_tick :])
     return said
 
 
@@ -229,7 +199,7 @@ def _right_after_s(right: NDArray[np.bool_]) -> float | None:
 
 
 def _is_right(
-    place: TaughtPlace | None,
+    place: PlaceEstimate | None,
     true: NDArray[np.float64],
     taught: NDArray[np.float64],
     criterion: Criterion,

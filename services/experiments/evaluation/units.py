@@ -1,10 +1,9 @@
 """Units of work of a plan: each is a pure function of its fields and of the units that it needs."""
 
 import hashlib
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -17,6 +16,7 @@ from schemas.rpc import ResetRequest
 from services.experiments.engine import digest_of
 from services.experiments.evaluation import recognition
 from services.experiments.evaluation.degradation import DEGRADATIONS, Degrader
+from services.experiments.evaluation.drivers import FEATURES, CheckedDriver, code_of
 from services.experiments.evaluation.drives import (
     drive,
     drive_of,
@@ -36,26 +36,21 @@ from services.experiments.evaluation.plan import (
     Trial,
     WorldPlan,
 )
-from services.experiments.evaluation.search import PICTURE_TICKS, Driver, finding, search
+from services.experiments.evaluation.search import PICTURE_TICKS, finding, search
 from services.kit.jpeg import encode_jpeg
 from services.simulator.opening import BaseKind, open_simulation
-from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, CameraSettings
+from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
 from services.simulator.variation import clouded
-from smal.evaluation.teach_and_repeat import TeachAndRepeat
-from smal.features import Centering, FeatureSettings
-from smal.model import Model
+from smal.evaluation.nearest import recognize_nearest
+from smal.features import Centering
 from smal.paper.learning import LearningSettings, learn
 from smal.paper.model import PaperModel
-from smal.paper.robot import PaperRobot
-from smal.robot import Robot
 from smal.teaching.demonstration import Demonstration
-from smal.teaching.mapping import learn as learn_map
 
 # Numbers, texts and lists; ``cpu_s`` is the processor time.
 Finding = dict[str, Any]
 U = TypeVar("U", bound="Unit")
-FEATURES: Final = FeatureSettings()  # Features of all drives and queries.
 # Settings of the simulator in a trial.
 _ASKED: Final = (
     "start",
@@ -134,9 +129,13 @@ def simulation_in(
     variation: str = "day",
     clouds_seed: int | None = None,
     depth: bool = False,
+    moved_camera: bool = False,
 ) -> Simulation:
     """Open a world."""
     camera = CameraSettings(*site.camera)
+    if moved_camera:
+        # It was knocked since teaching: it looks down, sits higher, and shows less.
+        camera = replace(camera, pitch_deg=5.0, raised_m=0.1, zoom=1.05)
     return open_simulation(
         site.world,
         camera,
@@ -161,6 +160,11 @@ def _paper_model(unit: "LearnUnit", folder: Path) -> PaperModel:
     return PaperModel.load(unit.file(folder))
 
 
+@lru_cache(maxsize=2)
+def _taught(unit: "TeachDriver", folder: Path) -> CheckedDriver:
+    return unit.taught(folder)
+
+
 @dataclass(frozen=True)
 class Teach(Unit):
     """Drive with the expert."""
@@ -177,21 +181,38 @@ class Teach(Unit):
 
 @dataclass(frozen=True)
 class LearnUnit(Unit):
-    """Learn a map of drives (length 0), or a model of the paper."""
+    """Learn a model of the paper, for recognition."""
 
     length: int
 
     def do(self, folder: Path) -> Finding:
         """Save the model."""
         demonstrations, _ = _drives(self.needed(Teach), folder)
-        if not self.length:
-            learn_map(demonstrations, FEATURES).save(self.file(folder))
-            return {"file": True}
         model = learn(
             demonstrations, LearningSettings(features=FEATURES, sequence_length=self.length)
         )
         model.save(self.file(folder))
         return {"states": model.states, "file": True}
+
+
+@dataclass(frozen=True)
+class TeachDriver(Unit):
+    """Teach a driver once, for all its searches after these drives."""
+
+    driver: str
+    code: str  # Digest of the driver's own module.
+
+    def do(self, folder: Path) -> Finding:
+        """Let the driver learn and save what it wants to keep."""
+        self.taught(folder)
+        return {}
+
+    def taught(self, folder: Path) -> CheckedDriver:
+        """Return the driver after these drives."""
+        own = folder / f"{self.name}.driver"
+        own.mkdir(exist_ok=True)
+        drives, _ = _drives(self.needed(Teach), folder)
+        return CheckedDriver(self.driver, drives, own)
 
 
 @dataclass(frozen=True)
@@ -240,9 +261,7 @@ class Recognize(Unit):
             else:
                 centering = Centering.fit([one.rows for one in taught], FEATURES)
                 drives = [centering.apply(one.rows) for one in taught]
-                matches = recognition.recognize_nearest(
-                    drives, centering.apply(views), self.recognizer.length
-                )
+                matches = recognize_nearest(drives, centering.apply(views), self.recognizer.length)
             demonstrated = np.concatenate(poses)
             found.append(recognition.judged(matches, demonstrated, held["poses"], self.criterion))
         return {"queries": found}
@@ -266,41 +285,43 @@ class Searches(Unit):
 
     def do(self, folder: Path) -> Finding:
         """Search with each seed; save the pictures of the first successful search of an example."""
-        taught, poses = _drives(self.needed(Teach), folder)
+        _, poses = _drives(self.needed(Teach), folder)
         how = DEGRADATIONS[self.trial.degradation]
         trial = self.trial
-        # The clouds always differ from those in teaching.
-        clouds = CLOUDS_SEED + self.which
-        depth = trial.hindered and trial.controller != "smal-unguarded"
-        simulation = simulation_in(self.site, how.shake, trial.variation, clouds, depth)
-        driver = self._driver(taught, folder)
+        simulation = simulation_in(
+            self.site,
+            how.shake,
+            trial.variation,
+            CLOUDS_SEED + self.which,  # The clouds always differ from those in teaching.
+            trial.hindered and trial.entry.guarded,
+            trial.moved_camera,
+        )
+        (learned,) = self.needed(TeachDriver)
+        driver = _taught(learned, folder)
         taught_poses = np.concatenate(poses)
         frames = [len(one) for one in poses]
         taught_ticks = float(np.mean(frames)) - 1.0
         most_ticks = round(self.patience * max(frames))
         asked: dict[str, Any] = {name: getattr(trial, name) for name in _ASKED}
         found = []
+        decision_ms = list[float]()
         shown = False
         for seed in range(RUN_SEED + self.which, RUN_SEED + trial.runs, trial.sets):
-            kidnap_tick = trial.kidnap_tick or None
             request = ResetRequest(
-                seed=seed, purpose="run", max_ticks=most_ticks, kidnap_tick=kidnap_tick, **asked
+                seed=seed,
+                purpose="run",
+                max_ticks=most_ticks,
+                kidnap_tick=trial.kidnap_tick or None,
+                until_said=True,
+                **asked,
             )
             keeps = self.is_example and not shown
             pictures = PICTURE_TICKS if keeps else 0
-            waits = trial.controller == "smal-waits"
-            one = search(
-                simulation,
-                driver,
-                request,
-                Degrader(how, seed),
-                pictures,
-                until_said=True,
-                waits=waits,
-            )
+            one = search(simulation, driver, request, Degrader(how, seed), pictures)
             found.append(
                 finding(one, taught_poses, self.criterion) | {"taught_ticks": taught_ticks}
             )
+            decision_ms += one.decision_ms.round(2).tolist()
             if keeps and one.outcome == "found":
                 shown = True
                 jpegs = {
@@ -308,23 +329,7 @@ class Searches(Unit):
                     for k, seen in one.pictures.items()
                 }
                 save_arrays(self.file(folder), poses=one.poses, **jpegs)
-        return {"searches": found, "file": shown}
-
-    def _driver(self, demonstrations: list[Demonstration], folder: Path) -> Driver:
-        match self.trial.controller:
-            case "smal" | "smal-waits" | "smal-unguarded":
-                (learned,) = self.needed(LearnUnit)
-                return Robot(Model.load(learned.file(folder)), seed=self.which)
-            case "paper":
-                return PaperRobot(_paper_model(*self.needed(LearnUnit), folder))
-            case "teach-and-repeat" | "teach-and-repeat-told" as name:
-                return TeachAndRepeat(
-                    demonstrations, math.radians(FIELD_OF_VIEW_DEG), told=name.endswith("told")
-                )
-            case nearest:
-                return recognition.NearestImitation(
-                    demonstrations, FEATURES, int(nearest.removeprefix("nearest-"))
-                )
+        return {"searches": found, "file": shown, "decision_ms": decision_ms}
 
 
 @dataclass(frozen=True)
@@ -364,13 +369,9 @@ def units(plan: EvaluationPlan) -> list[Unit]:
 def _searches(site: Site, world: WorldPlan, patience: float) -> Iterator[Unit]:
     for trial in world.trials:
         for which in range(trial.sets):
-            needs: tuple[Unit, ...] = _teaching(site, trial.drives, which, trial.recoveries)
-            match trial.controller.partition("-")[0]:
-                case "smal":
-                    needs += (LearnUnit(site, needs, 0),)
-                case "paper":
-                    needs += (LearnUnit(site, needs, trial.length),)
-            yield Searches(site, needs, trial, which, patience, world.criterion)
+            drives = _teaching(site, trial.drives, which, trial.recoveries)
+            taught = TeachDriver(site, drives, trial.driver, code_of(trial.driver))
+            yield Searches(site, (*drives, taught), trial, which, patience, world.criterion)
 
 
 def _recognitions(site: Site, world: WorldPlan) -> Iterator[Unit]:

@@ -151,7 +151,7 @@ def _repeating(repeat: TeachAndRepeat, asked: Demonstration) -> Answers:
     places = []
     for image, pose in zip(asked.images, asked.odometry.tolist(), strict=True):
         repeat.step(image, pose)
-        places.append(np.nan if repeat.place is None else repeat.place)
+        places.append(np.nan if repeat.place is None else repeat.place.frame)
     return _only(np.array(places))
 
 

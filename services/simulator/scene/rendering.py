@@ -60,10 +60,12 @@ class SceneCamera:
 
     def __init__(self, world: World, settings: CameraSettings) -> None:
         self._sapien = sapien = load_renderer()
-        self._mount = world.robot.camera
+        self._ahead_m = world.robot.camera.ahead_m
+        self._height_m = world.robot.camera.height_m + settings.raised_m
+        self._pitch_rad = math.radians(settings.pitch_deg)
         above = world.place.overhead
         #: Focal length in pixels of the image.
-        self.focal_px = FOCAL * settings.width
+        self.focal_px = settings.zoom * settings.width * FOCAL
         self._seen_from: tuple[Pose, Tilt] | None = None
         scene = build_scene(world, settings.light)
         try:
@@ -163,9 +165,10 @@ class SceneCamera:
         if (pose, tilt) == self._seen_from:
             return
         self._put_robot(pose)
-        at = (*pose.at(self._mount.ahead_m), self._mount.height_m)
+        at = (*pose.at(self._ahead_m), self._height_m)
         self._tiles.show_from(Pose(at[0], at[1], pose.heading))
-        mast = self._sapien.Pose(at, _turn(pose.heading, tilt))
+        pitched = tilt._replace(pitch=tilt.pitch + self._pitch_rad)
+        mast = self._sapien.Pose(at, _turn(pose.heading, pitched))
         self._mast.set_pose(mast)
         if self._sky is not None:
             self._sky.set_pose(self._sapien.Pose(mast.p))

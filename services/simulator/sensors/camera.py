@@ -39,11 +39,14 @@ VISIBLE_FRACTION: Final = 0.0005  # Minimum fraction of the image that a visible
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """Image size in pixels, and light."""
+    """Image size in pixels, light, and changes of the mounting, which the robot is not told."""
 
     width: int = 320
     height: int = 240
     light: Daylight = DAY.light
+    pitch_deg: float = 0.0  # Downwards.
+    raised_m: float = 0.0
+    zoom: float = 1.0  # Factor of the focal length.
 
 
 def blur(image: NDArray[np.uint8], rate: Tilt, focal_px: float) -> NDArray[np.uint8]:

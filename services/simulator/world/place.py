@@ -42,6 +42,11 @@ class Pose:
         sin = math.sin(self.heading)
         return self.x + ahead_m * cos - left_m * sin, self.y + ahead_m * sin + left_m * cos
 
+    @property
+    def turned_round(self) -> "Pose":
+        """The same position, facing back."""
+        return replace(self, heading=math.remainder(self.heading + math.pi, math.tau))
+
     def place(self, shape: Shape) -> Shape:
         """Transform a shape from the origin (x ahead) to this pose."""
         cos = math.cos(self.heading)

@@ -41,7 +41,7 @@ def done_in(folder: Path) -> dict[str, dict[str, object]]:
         for path in (folder / "units").glob("*.json")
     }
     return {
-        name: {key: value for key, value in one.items() if key != "cpu_s"}
+        name: {key: value for key, value in one.items() if key not in ("cpu_s", "decision_ms")}
         for name, one in entries.items()
     }
 
@@ -89,3 +89,20 @@ def test_evaluate_keeps_results_when_a_unit_fails(
     last = said.splitlines()[-1]
     assert last.startswith("smal: teach in nowhere: ")
     assert "Traceback" not in said
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (("--driver", "nowhere_here:A"), "driver nowhere_here:A: module 'nowhere_here' not found"),
+        (("--drivers", "smul"), "driver 'smul' not found; choose from smal, "),
+        (("--cells", "dark"), "cell 'dark' not found; choose from start, "),
+    ],
+)
+def test_evaluate_names_an_unknown_driver_or_cell(
+    tmp_path: Path, smal: Smal, options: tuple[str, str], line: str
+) -> None:
+    status, _, said = smal("evaluate", "--out", str(tmp_path), *options)
+    assert status == 2
+    assert said.startswith(f"smal: {line}")
+    assert said.count("\n") == 1

@@ -78,11 +78,14 @@ def test_in_lockstep_no_clock_moves_it() -> None:
     assert way_m(body, start) == pytest.approx(0.1 * PERFECT.speed_m_s)
 
 
-def test_body_starts_anywhere_and_is_kidnapped_on_request() -> None:
-    plain, anywhere, carried = (
+def test_body_starts_as_asked_and_is_kidnapped_on_request() -> None:
+    plain, turned, anywhere, carried = (
         body_of(Clock(), "lockstep", **request)
-        for request in ({}, {"start": "anywhere"}, {"kidnap_tick": 2})
+        for request in ({}, {"start": "turned"}, {"start": "anywhere"}, {"kidnap_tick": 2})
     )
+    assert start_of(turned) == start_of(plain)
+    facing, back = (body.look(0).pose.heading for body in (plain, turned))
+    assert abs(math.remainder(back - facing, math.tau)) == pytest.approx(math.pi)
     assert start_of(plain) == start_of(carried) != start_of(anywhere)
     assert way_m(carried, start_of(plain)) == 0.0
     before = start_of(carried)

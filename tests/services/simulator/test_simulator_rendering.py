@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.simulator.scene.rendering import ROBOT, SceneCamera
+from services.simulator.scene.rendering import ROBOT, VICTIM, SceneCamera
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.sensors.readings import LEVEL, Tilt
 from services.simulator.simulation import Simulation
@@ -55,6 +55,22 @@ def test_an_image_has_something_in_it_and_repeats_to_the_bit() -> None:
         assert image.max(axis=2).min() > 8
         assert not (camera._labels(pose, LEVEL) == ROBOT).any(), "the robot does not see itself"
         np.testing.assert_array_equal(image, other.render(pose))
+
+
+def test_moved_camera_shows_the_scene_higher_up_and_larger() -> None:
+    level = camera_in("indoor")
+    pitched = SceneCamera(INDOOR, CameraSettings(160, 120, pitch_deg=5.0))
+    zoomed = SceneCamera(INDOOR, CameraSettings(160, 120, zoom=1.05))
+    raised = SceneCamera(INDOOR, CameraSettings(160, 120, raised_m=0.1))
+    pose = facing_the_victim("indoor", 1.2)
+
+    def rows(camera: SceneCamera) -> float:
+        return float(np.nonzero(camera._labels(pose, LEVEL) == VICTIM)[0].mean())
+
+    # The focal length is 104 pixels: 5 degrees are 9 of them.
+    assert rows(level) - rows(pitched) == pytest.approx(9.0, abs=2.0)
+    assert zoomed.victim_pixels(pose) == pytest.approx(1.05**2 * level.victim_pixels(pose), rel=0.1)
+    assert rows(raised) > rows(level) + 2.0
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from schemas.base import TICK_S
 from services.experiments.drawing import COLOURS, TEXT, draw_curve, look_at, styled
 from services.experiments.evaluation.degradation import DEGRADATIONS
-from services.experiments.evaluation.plan import CONTROLLERS, DEFAULT_LENGTH, RecognizerName
+from services.experiments.evaluation.drivers import DEFAULT_LENGTH
+from services.experiments.evaluation.plan import RecognizerName
 from services.experiments.evaluation.report.summary import Recognized, Success
 from services.kit.jpeg import decode_jpeg
 from services.simulator.world import load_world
@@ -23,8 +24,9 @@ from smal.arrays import evenly
 
 VIEWS: Final = 6  # Camera images beside an example route.
 _PEERS: Final = {
-    "smal": COLOURS[0], "paper": COLOURS[1], "teach-and-repeat": "#e09f3e", "teach-and-repeat-told": "#b5651d",
-    "nearest-1": "#8d99ae", "nearest-5": "#5c677d", "smal-waits": "#7aa6c2", "smal-unguarded": "#999999",
+    "smal": COLOURS[0], f"paper-{DEFAULT_LENGTH}": COLOURS[1], "teach-and-repeat": "#e09f3e",
+    "teach-and-repeat-told": "#b5651d", "place-filter": "#6a994e", "nearest-1": "#8d99ae", "nearest-5": "#5c677d",
+    "smal-waits": "#7aa6c2", "smal-unguarded": "#999999",
 }  # fmt: skip
 
 
@@ -58,18 +60,18 @@ def found_by_drives(found: Sequence[Success], title: str) -> Figure:
     """Draw the share of successful searches over the number of taught drives, for each driver."""
     usual = [one for one in found if one.trial.condition == "as taught"]
     counts = sorted({one.trial.drives for one in usual})
-    names = [name for name in CONTROLLERS if any(one.trial.controller == name for one in usual)]
+    usual = [one for one in usual if one.trial.length in (None, DEFAULT_LENGTH)]
+    names = list(dict.fromkeys(one.trial.driver for one in usual))
     drawn, (axes,) = _panels(1, 9.0, 4.6, title)
     width = 0.84 / len(names)
     for one in usual:
-        if one.trial.length == DEFAULT_LENGTH:
-            name = one.trial.controller
-            group = counts.index(one.trial.drives)
-            at = group + (names.index(name) - (len(names) - 1) / 2) * width
-            label = None if group else one.trial.title
-            axes.bar(at, one.rate, 0.9 * width, color=_PEERS[name], label=label)
-            axes.plot([at, at], one.wilson_95, color=TEXT, lw=1.0)
-            axes.text(at, 1.04, f"{one.found}/{one.runs}", ha="center", fontsize=6)
+        name = one.trial.driver
+        group = counts.index(one.trial.drives)
+        at = group + (names.index(name) - (len(names) - 1) / 2) * width
+        label = None if group else one.trial.title
+        axes.bar(at, one.rate, 0.9 * width, color=_PEERS.get(name, TEXT), label=label)
+        axes.plot([at, at], one.wilson_95, color=TEXT, lw=1.0)
+        axes.text(at, 1.04, f"{one.succeeded}/{one.runs}", ha="center", fontsize=6)
     axes.set_xticks(range(len(counts)), [str(count) for count in counts])
     axes.set(ylim=(0.0, 1.12), xlabel="taught drives", ylabel="successful searches")
     drawn.legend(loc="outside lower center", ncols=3)
@@ -79,10 +81,10 @@ def found_by_drives(found: Sequence[Success], title: str) -> Figure:
 @styled
 def success_by_length(found: Sequence[Success], title: str) -> Figure:
     """Draw the success rate of the paper's scheme over l with Wilson intervals, by degradation."""
-    every = [one for one in found if one.trial.controller == "paper"]
+    every = [one for one in found if one.trial.length is not None]
     most = max(one.trial.drives for one in every if one.trial.length != DEFAULT_LENGTH)
     paper = [one for one in every if one.trial.drives == most]
-    lengths = sorted({one.trial.length for one in paper})
+    lengths = sorted({one.trial.length for one in paper if one.trial.length is not None})
     views = _views(one.trial.degradation for one in paper)
     drawn, panels = _panels(len(views), 5.6, 4.2, title, sharey=True)
     for axes, (degradation, view) in zip(panels, views.items(), strict=True):
@@ -93,12 +95,12 @@ def success_by_length(found: Sequence[Success], title: str) -> Figure:
 
 
 def _draw_rates(axes: Axes, found: Sequence[Success], lengths: Sequence[int]) -> None:
-    found = sorted(found, key=lambda one: one.trial.length)
+    found = sorted(found, key=lambda one: one.trial.length or 0)
     rates = np.array([one.rate for one in found])
     low, high = np.array([one.wilson_95 for one in found]).T
-    at = [lengths.index(one.trial.length) for one in found]
+    at = [lengths.index(one.trial.length or 0) for one in found]
     around = np.maximum([rates - low, high - rates], 0.0)
-    look: dict[str, Any] = {"color": _PEERS["paper"], "marker": "s", "lw": 2}
+    look: dict[str, Any] = {"color": COLOURS[1], "marker": "s", "lw": 2}
     axes.errorbar(at, rates, around, capsize=4, elinewidth=1.2, **look)
     axes.set_xticks(range(len(lengths)), [str(length) for length in lengths])
     axes.set_ylim(-0.03, 1.05)

@@ -14,7 +14,6 @@ from services.experiments.evaluation.degradation import DEGRADATIONS
 from services.experiments.evaluation.drives import load_arrays
 from services.experiments.evaluation.errands import TASKS
 from services.experiments.evaluation.plan import (
-    CONTROLLERS,
     JUDGED_TICKS,
     QUERY_SEED,
     RUN_SEED,
@@ -73,7 +72,7 @@ def write_page(plan: EvaluationPlan, results: Results) -> Path:
     facts = {
         "worlds": ", ".join(world.title for world in plan.worlds),
         "searches": sum(searches),
-        "held-out frames": f"{frames:,}",
+        **({"held-out frames": f"{frames:,}"} if frames else {}),
         "processor time": f"{seconds / 60:.0f} min",
         "version": program_version(),
     }
@@ -97,7 +96,6 @@ def write_page(plan: EvaluationPlan, results: Results) -> Path:
 
 #: Values of the template that do not depend on results.
 _FIXED: Final[dict[str, Any]] = {
-    "controllers": list(CONTROLLERS.values()),
     "degradations": DEGRADATIONS,
     "failures": FAILURES,
     "judged_ticks": JUDGED_TICKS,
@@ -129,10 +127,11 @@ def _figures(found: WorldResults, results: Results) -> Iterator[tuple[str, Figur
     if found.recognized:
         drawn = precision_recall(found.recognized, f"State recognition, {name}")
         yield f"precision-recall-{name}", drawn
-    if any(one.trial.condition == "as taught" for one in successes):
+    counts = {one.trial.drives for one in successes if one.trial.condition == "as taught"}
+    if len(counts) > 1:
         drawn = found_by_drives(successes, f"Searches that find the victim, {name}")
         yield f"drives-{name}", drawn
-    if len({one.trial.length for one in successes if one.trial.controller == "paper"}) > 1:
+    if len({one.trial.length for one in successes} - {None}) > 1:
         drawn = success_by_length(successes, f"Success over sequence length, {name}")
         yield f"success-{name}", drawn
     for unit, one in _of_kind(results.findings, Searches).items():
@@ -150,6 +149,6 @@ def _taught(world: WorldPlan, findings: Mapping[Unit, Finding]) -> dict[str, Any
         "states": [
             f"{one['states']} ({counted(len(unit.needs), 'drive')}, l = {unit.length})"
             for unit, one in here.items()
-            if isinstance(unit, LearnUnit) and unit.length
+            if isinstance(unit, LearnUnit)
         ],
     }

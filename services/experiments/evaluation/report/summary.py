@@ -7,7 +7,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from services.experiments.evaluation.plan import JUDGED_TICKS, RecognizerName, Trial, WorldPlan
+from services.experiments.evaluation.plan import (
+    CELLS,
+    JUDGED_TICKS,
+    RecognizerName,
+    Trial,
+    WorldPlan,
+)
 from services.experiments.evaluation.units import Errand, Finding, Recognize, Searches, Unit
 from smal.evaluation.ground_truth import Judgement
 from smal.evaluation.precision_recall import (
@@ -51,7 +57,8 @@ class Success:
     ----------
     spl
         Success weighted by path length (Anderson et al. 2018). The expert's route counts as
-        shortest, so a robot that cuts its corners has 1. None for kidnapped robots.
+        shortest, so a robot that cuts its corners has 1. None for kidnapped robots, and without a
+        victim.
     aside_rms_m, aside_max_m
         Distance from the taught ways, over all frames of all searches.
     clearance_p5_m
@@ -68,20 +75,27 @@ class Success:
         Searches that a person would have to end or correct (all but found, and a correct "not
         here"), per kilometre driven.
     wrong_share
-        Share of frames with a confident and wrong position.
+        Share of frames with a confident and wrong position; None without any estimate.
+    arrival_m
+        Median over searches of the distance to the victim, or to its taught place, at the end.
+    decision_ms
+        Median and 95th percentile of the wall time of a decision.
     right_soon
         Number of searches that relocalise within `SOON_S` after the kidnapping, and number of all.
     """
 
-    def __init__(self, trial: Trial, searches: Sequence[Finding]) -> None:
+    def __init__(
+        self, trial: Trial, searches: Sequence[Finding], decision_ms: Sequence[float]
+    ) -> None:
         self.trial = trial
         self.searches = searches
         self.outcomes = [str(one["outcome"]) for one in searches]
-        self.found = self.outcomes.count("found")
+        # A "not here" is right if the victim is absent.
+        right = [one["outcome"] == "found" or one["right"] is True for one in searches]
+        self.succeeded = sum(right)
         self.runs = len(searches)
-        self.rate = self.found / self.runs
-        self.wilson_95 = wilson_interval(self.found, self.runs)
-        failed = sum(one["outcome"] != "found" and one["right"] is not True for one in searches)
+        self.rate = self.succeeded / self.runs
+        self.wilson_95 = wilson_interval(self.succeeded, self.runs)
         self.spl = self._spl()
         self.aside_rms_m = self._rms("aside_rms_m")
         self.aside_max_m = float(self._of("aside_max_m").max())
@@ -89,7 +103,10 @@ class Success:
         self.turns_per_m = self._per_m(self._of("turns").sum())
         self.jerk_m_s3 = self._rms("jerk_m_s3")
         self.time_over_taught = self._time_over_taught()
-        self.interventions_per_km = self._per_m(1e3 * failed)
+        self.interventions_per_km = self._per_m(1e3 * (self.runs - self.succeeded))
+        self.arrival_m = float(np.median(self._of("arrival_m")))
+        median_ms, slow_ms = np.quantile(decision_ms, (0.5, 0.95)).round(2).tolist()
+        self.decision_ms = (median_ms, slow_ms)
         self.wrong_share = self._wrong_share()
         self.right_soon = self._right_soon()
 
@@ -104,7 +121,7 @@ class Success:
         return float(count / driven_m) if driven_m > 1.0 else None
 
     def _spl(self) -> float | None:
-        if self.trial.kidnap_tick:
+        if self.trial.kidnap_tick or self.trial.victim == "absent":
             return None
         shortest = self._of("shortest_m")
         longest = np.maximum(self._of("driven_m"), shortest)
@@ -112,17 +129,20 @@ class Success:
         return float((found * shortest / np.maximum(longest, 1e-9)).mean())
 
     def _time_over_taught(self) -> float | None:
-        if not self.found or self.trial.kidnap_tick or self.trial.start != "start":
+        found = np.array(self.outcomes) == "found"
+        if not found.any() or self.trial.kidnap_tick or self.trial.start != "start":
             return None
         ratio = self._of("ticks") / self._of("taught_ticks")
-        return float(ratio[np.array(self.outcomes) == "found"].mean())
+        return float(ratio[found].mean())
 
     def _wrong_share(self) -> float | None:
-        if "wrong_share" not in self.searches[0]:
+        if not self._of("sure_share").any():
             return None
-        return float(np.average(self._of("wrong_share"), weights=self._of("ticks")))
+        return float(np.average(self._of("wrong_share"), weights=self._of("ticks") + 1))
 
     def _right_soon(self) -> tuple[int, int] | None:
+        if self.wrong_share is None:
+            return None
         times = [one["right_after_s"] for one in self.searches if "right_after_s" in one]
         soon = sum(time is not None and time <= SOON_S for time in times)
         return (soon, len(times)) if times else None
@@ -134,6 +154,7 @@ class Success:
         }
         return (
             asdict(self.trial)
+            | {"cell": self.trial.cell, "length": self.trial.length}
             | {"condition": self.trial.condition, "success_rate": self.rate}
             | own
         )
@@ -147,6 +168,25 @@ class WorldResults:
     recognized: list[Recognized]
     successes: list[Success]
     errands: Mapping[str, Finding]
+
+    @property
+    def cells(self) -> dict[str, dict[str, Success]]:
+        """The searches of each driver in each cell of a comparison: title, then name of the cell."""
+        found: dict[str, dict[str, Success]] = {}
+        for one in self.successes:
+            if (cell := one.trial.cell) is not None:
+                found.setdefault(one.trial.title, {})[cell] = one
+        return found
+
+    @property
+    def cell_names(self) -> list[str]:
+        """The cells with a result, in the order of `CELLS`."""
+        return [cell for cell in CELLS if any(cell in one for one in self.cells.values())]
+
+    @property
+    def meanings(self) -> dict[str, str]:
+        """Meaning of each driver, by its title."""
+        return {one.trial.title: one.trial.entry.meaning for one in self.successes}
 
     @property
     def by_condition(self) -> list[Success]:
@@ -171,16 +211,18 @@ class WorldResults:
 def results_of(
     world: WorldPlan, units: Iterable[Unit], findings: Mapping[Unit, Finding]
 ) -> WorldResults:
-    """Collect the results of a world."""
+    """Collect the results of a world; trials with missing searches are left out."""
     here = [
         (unit, findings[unit])
         for unit in units
         if unit in findings and unit.site.world == world.world
     ]
     searches: dict[Trial, list[Finding]] = {}
+    decision_ms: dict[Trial, list[float]] = {}
     for unit, one in here:
         if isinstance(unit, Searches):
             searches.setdefault(unit.trial, []).extend(one["searches"])
+            decision_ms.setdefault(unit.trial, []).extend(one["decision_ms"])
     return WorldResults(
         world,
         [
@@ -188,7 +230,11 @@ def results_of(
             for unit, found in here
             if isinstance(unit, Recognize)
         ],
-        [Success(trial, found) for trial, found in searches.items()],
+        [
+            Success(trial, found, decision_ms[trial])
+            for trial, found in searches.items()
+            if len(found) == trial.runs
+        ],
         {unit.errand: found for unit, found in here if isinstance(unit, Errand)},
     )
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from services.experiments.evaluation.drivers import DEFAULT_LENGTH
 from services.experiments.evaluation.drives import save_arrays
 from services.experiments.evaluation.plan import (
-    CONTROLLERS,
     JUDGED_TICKS,
     Criterion,
     EvaluationPlan,
@@ -23,9 +23,16 @@ from services.experiments.evaluation.units import (
     Recognize,
     Searches,
     Teach,
+    TeachDriver,
     Unit,
     units,
 )
+
+#: Drivers of every kind.
+DRIVERS = (
+    "smal", "smal-waits", "smal-unguarded", "teach-and-repeat", "teach-and-repeat-told", "place-filter", "nearest-1",
+    "nearest-5", f"paper-{DEFAULT_LENGTH}",
+)  # fmt: skip
 
 SMALL = EvaluationPlan(
     "small",
@@ -34,8 +41,12 @@ SMALL = EvaluationPlan(
             "yard", Criterion(1.0, 25.0), drives=2, queries=1, lengths=(1, 5, 20),
             recognized=("clean", "occluded"), errands=True,
             trials=(
-                *(Trial(name, drives, 8) for drives in (1, 2) for name in CONTROLLERS),
-                *(Trial("paper", 2, 8, length, view) for length in (1, 20) for view in ("clean", "occluded")),
+                *(Trial(name, drives, 8) for drives in (1, 2) for name in DRIVERS),
+                *(
+                    Trial(f"paper-{length}", 2, 8, degradation=view)
+                    for length in (1, 20)
+                    for view in ("clean", "occluded")
+                ),
                 *(
                     Trial(name, 1, 8, **special)  # type: ignore[arg-type]
                     for name in ("smal", "teach-and-repeat")
@@ -57,7 +68,9 @@ def finding(unit: Unit) -> Finding:
         case Teach():
             return {"frames": 50}
         case LearnUnit():
-            return {"states": 40} if unit.length else {}
+            return {"states": 40}
+        case TeachDriver():
+            return {}
         case Query():
             return {"frames": QUERIES}
         case Searches():
@@ -65,6 +78,7 @@ def finding(unit: Unit) -> Finding:
             return {
                 "searches": [search(unit.trial, seed) for seed in seeds],
                 "file": unit.is_example,
+                "decision_ms": [10.0, 20.0, 30.0],
             }
         case Errand():
             outcomes = ["found"] * 9 + ["timeout"]
@@ -76,15 +90,16 @@ def finding(unit: Unit) -> Finding:
 
 def search(trial: Trial, seed: int) -> Finding:
     """Let teach and repeat collide where frames are occluded, and long sequences be slow."""
-    blind = trial.degradation == "occluded" and trial.controller == "teach-and-repeat"
-    slow = trial.controller == "paper" and trial.length == 20
+    blind = trial.degradation == "occluded" and trial.driver == "teach-and-repeat"
+    slow = trial.length == 20
     found = {
         "outcome": "collision" if blind else "timeout" if slow else "found", "right": None, "ticks": 150 + seed,
         "shortest_m": 80.0, "driven_m": 100.0, "aside_rms_m": 0.5, "aside_max_m": 1.5,
         "clearance_p5_m": 0.3 + 0.1 * (seed % 2), "turns": 20, "jerk_m_s3": 2.0, "taught_ticks": 120.0,
+        "arrival_m": 0.5 * seed, "sure_share": 0.0, "wrong_share": 0.0,
     }  # fmt: skip
-    if trial.controller == "smal":
-        found["wrong_share"] = 0.02
+    if trial.driver == "smal":
+        found |= {"sure_share": 1.0, "wrong_share": 0.02}
         if trial.kidnap_tick:
             # One does not know where it is for 5 s, and one never does again.
             found["right_after_s"] = {1: 5.0, 2: None}.get(seed, 0.5)

@@ -4,9 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.experiments.evaluation.degradation import DEGRADATIONS, Degrader
-from services.experiments.evaluation.recognition import NearestImitation, demonstrated_frames
+from services.experiments.evaluation.recognition import demonstrated_frames
+from smal.evaluation.nearest import NearestImitation
 from smal.features import FeatureSettings, extract
-from smal.movement import Atom
+from smal.movement import MOTIONS, STANDS, Atom
 from smal.paper.learning import LearningSettings, learn
 from smal.paper.model import PaperModel
 from smal.teaching.demonstration import Demonstration
@@ -76,19 +77,18 @@ def test_a_template_is_where_it_was_demonstrated() -> None:
 
 
 def test_the_nearest_window_is_imitated() -> None:
-    images = [picture(place) for place in (1, 20, 40, 20)]
+    images = [picture(place) for place in (1, 20, 60, 40, 20)]
     features = np.stack([extract(image, COLOR) for image in images])
-    atoms = np.array([Atom.FORWARD, Atom.LEFT, Atom.FORWARD, Atom.STOP], dtype=np.int8)
+    atoms = np.array([Atom.FORWARD, Atom.LEFT, Atom.STOP, Atom.FORWARD, Atom.STOP], dtype=np.int8)
     drives = [
-        Demonstration("d", features[:2], atoms[:2]),
-        Demonstration("e", features[2:], atoms[2:]),
+        Demonstration("d", features[:3], atoms[:3]),
+        Demonstration("e", features[3:], atoms[3:]),
     ]
     one = NearestImitation(drives, COLOR)
     two = NearestImitation(drives, COLOR, 2)
-    assert [one.step(image) for image in images] == [
-        Atom.FORWARD,
-        Atom.LEFT,
-        Atom.FORWARD,
-        Atom.LEFT,
-    ]
-    assert [two.step(image) for image in images[2:]] == [Atom.FORWARD, Atom.STOP]
+    seen = [images[k] for k in (0, 1, 3, 4)]
+    taught = (Atom.FORWARD, Atom.LEFT, Atom.FORWARD, Atom.LEFT)
+    assert [one.step(image) for image in seen] == [MOTIONS[atom] for atom in taught]
+    assert one.said is None
+    assert [two.step(image) for image in seen[2:]] == [MOTIONS[Atom.FORWARD], STANDS]
+    assert two.said == "found"

@@ -42,14 +42,12 @@ def test_report_page_is_complete_and_loads_no_network_files(
     )
     for said in (
         "within 1 m and 25°", "nearly everything", "35% of the frames occluded",
-        "<td>9 of 10</td>", "<td>190, 130</td>", "0% to 32%", "64x48 pixels",
+        "<td>9 of 10</td>", "<b>8 of 8</b>", "2.2 m at end", "<td>190, 130</td>", "0% to 32%", "64x48 pixels",
     ):  # fmt: skip
         assert said in text, said
     numbers = json.loads((page.parent / "results.json").read_text())
     searches = numbers["worlds"]["yard"]["searches"]
-    assert {
-        one["found"] for one in searches if one["controller"] == "paper" and one["length"] == 20
-    } == {0}
+    assert {one["succeeded"] for one in searches if one["length"] == 20} == {0}
     assert numbers["machine_seconds"] == pytest.approx(0.5 * len(units(SMALL)), abs=0.1)
 
 
@@ -75,16 +73,21 @@ def test_areas(world: WorldResults) -> None:
 def test_counts_of_searches(world: WorldResults) -> None:
     trials = {one.trial: one for one in world.successes}
 
-    def of(controller: str, **special: object) -> Success:
-        return trials[Trial(controller, 1, 8, **special)]  # type: ignore[arg-type]
+    def of(driver: str, **special: object) -> Success:
+        return trials[Trial(driver, 1, 8, **special)]  # type: ignore[arg-type]
 
     blind = of("teach-and-repeat", degradation="occluded")
-    assert (blind.found, blind.runs, blind.outcomes, blind.spl) == (0, 8, ["collision"] * 8, 0.0)
+    assert (blind.succeeded, blind.runs, blind.outcomes, blind.spl) == (
+        0,
+        8,
+        ["collision"] * 8,
+        0.0,
+    )
     # Eight searches of 100 m in which nothing was found.
     assert blind.interventions_per_km == pytest.approx(10.0)
     assert (blind.wrong_share, blind.right_soon) == (None, None)
     ours = of("smal")
-    assert (ours.found, ours.wilson_95, ours.interventions_per_km) == (
+    assert (ours.succeeded, ours.wilson_95, ours.interventions_per_km) == (
         8,
         wilson_interval(8, 8),
         0.0,
@@ -95,5 +98,19 @@ def test_counts_of_searches(world: WorldResults) -> None:
     )
     assert ours.time_over_taught == pytest.approx(154.5 / 120.0)
     assert ours.wrong_share == pytest.approx(0.02)
+    assert ours.arrival_m == pytest.approx(2.25)
+    assert ours.decision_ms == (20.0, 29.0)
     carried = of("smal", kidnap_tick=50)
     assert (carried.right_soon, carried.spl, carried.time_over_taught) == ((6, 8), None, None)
+
+
+def test_trial_is_left_out_when_searches_are_missing(results: Results, world: WorldResults) -> None:
+    findings = {
+        unit: one for unit, one in results.findings.items() if getattr(unit, "which", 0) == 0
+    }
+    left = results_of(SMALL.worlds[0], units(SMALL), findings)
+    missing = {one.trial for one in world.successes} - {one.trial for one in left.successes}
+    assert {(one.driver, one.cell) for one in missing} == {
+        ("smal", "anywhere"),
+        ("teach-and-repeat", "anywhere"),
+    }

@@ -21,11 +21,10 @@ from services.recognition.service import RecognitionService
 from services.simulator.opening import open_simulation
 from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
+from smal.evaluation.drivers import PaperDriver, SmalDriver
 from smal.features import FeatureSettings
 from smal.model import Model
 from smal.movement import Atom
-from smal.paper.robot import PaperRobot
-from smal.robot import Robot
 from tests.services.robot.driving import simulated
 
 FEATURES = FeatureSettings()
@@ -89,9 +88,10 @@ def test_search_is_bit_identical_in_process_and_in_services(
         if state is not None:
             yield from policy.handle(state)
 
-    robot = Robot(model) if isinstance(model, Model) else PaperRobot(model)
-    found = search(simulation, robot, ResetRequest(seed=1, purpose="run", max_ticks=TICKS))
-    end, poses, answers = by_services(simulation, answer, 1, TICKS)
+    driver = SmalDriver(model) if isinstance(model, Model) else PaperDriver(model)
+    # The services use the seed 0.
+    found = search(simulation, driver, ResetRequest(seed=0, purpose="run", max_ticks=TICKS))
+    end, poses, answers = by_services(simulation, answer, 0, TICKS)
     assert (found.outcome, len(found.atoms)) == (end.outcome, end.tick)
     np.testing.assert_array_equal(found.poses, poses)
     # The services answer the frame that ends the episode as well; nobody carries that out.

@@ -35,7 +35,7 @@ def test_results_are_kept_unless_their_inputs_change(
     (world,) = SMALL.worlds
     otherwise = replace(SMALL, worlds=(replace(world, drives=4, criterion=Criterion(2.0, 25.0)),))
     assert not names(SMALL, "Recognize") & names(otherwise, "Recognize")
-    for kind in ("Teach", "LearnUnit", "Recognize", "Searches"):
+    for kind in ("Teach", "TeachDriver", "Recognize", "Searches"):
         assert not names(SMALL, kind) & names(replace(SMALL, camera=(128, 96)), kind)
         assert not names(SMALL, kind) & names(replace(SMALL, base="car"), kind)
     shorter = replace(SMALL, patience=1.5)
@@ -53,7 +53,7 @@ def test_results_are_kept_unless_their_inputs_change(
 
 def test_plan_compares_reduced_smal_when_ways_are_obstructed() -> None:
     def drivers(one: EvaluationPlan) -> set[str]:
-        return {unit.trial.controller for unit in units(one) if isinstance(unit, Searches)}
+        return {unit.trial.driver for unit in units(one) if isinstance(unit, Searches)}
 
     free = in_world("campus", 1.5)
     assert drivers(free) == {"smal", "teach-and-repeat", "teach-and-repeat-told"}

@@ -1,0 +1,248 @@
+"""Drivers by name: the methods of this repository, and others by ``MODULE:CLASS``."""
+
+import hashlib
+import math
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+
+from services.kit.errors import JobError, UsageError
+from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG
+from smal.arrays import Uint8s
+from smal.evaluation.driver import Depth, Driver, LearnDriver, PlaceEstimate
+from smal.evaluation.drivers import PaperDriver, SmalDriver
+from smal.evaluation.nearest import NearestImitation
+from smal.evaluation.place_filter import PlaceFilter
+from smal.evaluation.teach_and_repeat import TeachAndRepeat
+from smal.features import FeatureSettings
+from smal.movement import Motion
+from smal.paper.learning import LearningSettings
+from smal.planning import Said
+from smal.teaching.demonstration import Demonstration
+
+FEATURES: Final = FeatureSettings()  # Features of all drives and queries.
+FIELD_RAD: Final = math.radians(FIELD_OF_VIEW_DEG)
+DEFAULT_LENGTH: Final = LearningSettings().sequence_length
+LENGTHS: Final = (1, 2, 5, 10, 20, 40)  # Sequence lengths of the paper's scheme.
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class DriverEntry:
+    """A driver, with its title and meaning on the page."""
+
+    title: str
+    meaning: str
+    learn: LearnDriver
+    # Sequence length of the paper's scheme. Without recoveries it has no states beside the route.
+    length: int | None = None
+    guarded: bool = True  # Whether the robot has its depth camera, and so its guard.
+
+
+def _imitating(frames: int, drives: Sequence[Demonstration], folder: Path) -> Driver:
+    del folder
+    return NearestImitation(drives, FEATURES, frames)
+
+
+def _repeating(told: bool, drives: Sequence[Demonstration], folder: Path) -> Driver:
+    del folder
+    return TeachAndRepeat(drives, FIELD_RAD, told=told)
+
+
+def _filtering(drives: Sequence[Demonstration], folder: Path) -> Driver:
+    del folder
+    return PlaceFilter(drives, FEATURES, FIELD_RAD)
+
+
+def _smal(avoids: bool, drives: Sequence[Demonstration], folder: Path) -> Driver:
+    return SmalDriver.taught(drives, folder, FEATURES, avoids=avoids)
+
+
+def _paper(length: int, drives: Sequence[Demonstration], folder: Path) -> Driver:
+    return PaperDriver.taught(drives, folder, FEATURES, length)
+
+
+#: Drivers by name. All learn from the same drives.
+DRIVERS: Final[dict[str, DriverEntry]] = {
+    "smal": DriverEntry(
+        "SMAL", "the filter and the planner, at every frame", partial(_smal, True)
+    ),
+    "teach-and-repeat": DriverEntry(
+        "teach and repeat",
+        "wheels, corrected by the shift of the image (Dall'Osto et al. 2021)",
+        partial(_repeating, False),
+    ),
+    "teach-and-repeat-told": DriverEntry(
+        "teach and repeat, told",
+        "the same, with the start of the drive given",
+        partial(_repeating, True),
+    ),
+    "place-filter": DriverEntry(
+        "place filter",
+        "a Bayes filter over places (Suomela et al. 2024), the taught velocity, and the shift of "
+        "the image (Broughton et al. 2021)",
+        _filtering,
+    ),
+    **{
+        f"paper-{length}": DriverEntry(
+            f"the paper's scheme, l = {length}", "a decision every l frames",
+            partial(_paper, length), length=length,
+        )
+        for length in LENGTHS
+    },
+    "nearest-1": DriverEntry(
+        "nearest frame", "repeats the action at the most similar frame", partial(_imitating, 1)
+    ),
+    "nearest-5": DriverEntry(
+        "nearest 5 frames",
+        "repeats the action at the end of the most similar five frames",
+        partial(_imitating, 5),
+    ),
+    "smal-waits": DriverEntry(
+        "SMAL, stop and wait",
+        "without depth images: its guard alone stops it before an obstacle",
+        partial(_smal, False),
+    ),
+    "smal-unguarded": DriverEntry(
+        "SMAL, avoidance off",
+        "without a depth camera, and so without a guard",
+        partial(_smal, False),
+        guarded=False,
+    ),
+}  # fmt: skip
+#: Drivers of a comparison by default.
+COMPARED: Final = ("smal", "teach-and-repeat", "place-filter", "nearest-5", "nearest-1")
+
+
+def driver_entry(name: str) -> DriverEntry:
+    """Return a driver by its name in `DRIVERS` or by ``MODULE:CLASS``.
+
+    Raises
+    ------
+    UsageError
+        The driver is not found.
+    """
+    if name in DRIVERS:
+        return DRIVERS[name]
+    module, colon, attribute = name.partition(":")
+    if not (module and colon and attribute):
+        raise UsageError(
+            f"driver {name!r} not found; choose from {', '.join(DRIVERS)}, or give MODULE:CLASS"
+        )
+    found = getattr(_imported(name, module), attribute, None)
+    if found is None:
+        raise UsageError(f"driver {name}: {attribute!r} not found in the module {module}")
+    if not callable(found):
+        raise UsageError(f"driver {name}: {attribute!r} is no class; it must take the drives")
+    return DriverEntry(name, "given by MODULE:CLASS", found)
+
+
+def _imported(name: str, module: str) -> Any:  # noqa: ANN401 - any module
+    """Import a module from the working folder or the packages."""
+    folder = str(Path.cwd())
+    sys.path.insert(0, folder)
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is not None and f"{module}.".startswith(f"{error.name}."):
+            raise UsageError(
+                f"driver {name}: module {error.name!r} not found in {folder} or among the packages"
+            ) from None
+        raise UsageError(f"driver {name}: {error}") from None
+    except Exception as error:  # noqa: BLE001 - whatever its code raises
+        raise UsageError(f"driver {name}: {_in_a_line(error)}") from None
+    finally:
+        sys.path.remove(folder)
+
+
+def code_of(name: str) -> str:
+    """Return the digest of the file of another driver's module; empty for the drivers of `DRIVERS`."""
+    if name in DRIVERS:
+        return ""
+    file = _imported(name, name.partition(":")[0]).__file__
+    return "" if file is None else hashlib.sha256(Path(file).read_bytes()).hexdigest()
+
+
+class CheckedDriver:
+    """A driver whose errors, and invalid answers, are one line with its name.
+
+    Parameters
+    ----------
+    name : str
+        Name as in `driver_entry`.
+    drives : sequence of Demonstration
+    folder : Path
+        Folder for what it learns.
+
+    Raises
+    ------
+    JobError
+        The driver raises an error, or its answer is invalid; also by each method.
+    """
+
+    def __init__(self, name: str, drives: Sequence[Demonstration], folder: Path) -> None:
+        self._name = name
+        learn = driver_entry(name).learn
+        self._driver = self._ask("teaching", lambda: learn(drives, folder))
+
+    def _ask(self, what: str, ask: Callable[[], T]) -> T:
+        try:
+            return ask()
+        except Exception as error:
+            raise JobError(f"driver {self._name}: {what} failed: {_in_a_line(error)}") from error
+
+    def _refuse(self, what: str, needs: str, got: object) -> JobError:
+        return JobError(f"driver {self._name}: {what} must be {needs}, got {got!r:.60}")
+
+    def reset(self, seed: int) -> None:
+        """Start a new episode."""
+        self._ask("reset", lambda: self._driver.reset(seed))
+
+    def step(
+        self, image: Uint8s, odometry: Sequence[float], depth: Depth | None, elapsed_s: float
+    ) -> Motion:
+        """Return the velocity until the next image."""
+        got = self._ask("step", lambda: self._driver.step(image, odometry, depth, elapsed_s))
+        try:
+            velocity = np.asarray(got, dtype=float)
+        except (TypeError, ValueError):
+            velocity = np.empty(0)
+        # NaN is not within the limits.
+        if velocity.shape != (2,) or not (np.abs(velocity) <= 1.0).all():
+            raise self._refuse("the result of step", "two numbers of -1 to 1", got)
+        ahead, turn = velocity.tolist()
+        return ahead, turn
+
+    @property
+    def said(self) -> Said | None:
+        """Announced result."""
+        said = self._ask("said", lambda: self._driver.said)
+        if said not in (None, "found", "not_here"):
+            raise self._refuse("said", "None, 'found' or 'not_here'", said)
+        return said
+
+    @property
+    def place(self) -> PlaceEstimate | None:
+        """Estimated place."""
+        place = self._ask("place", lambda: self._driver.place)
+        if place is None:
+            return None
+        try:
+            frame, *offset = place
+            valid = int(frame) == frame and len(offset) == 3 and bool(np.isfinite(offset).all())
+        except (TypeError, ValueError):
+            valid = False
+        if not valid:
+            raise self._refuse("place", "None or (frame, ahead, left, turned_rad)", place)
+        return PlaceEstimate(*place)
+
+
+def _in_a_line(error: BaseException) -> str:
+    """Return the type and the text of an error in one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
