@@ -81,15 +81,15 @@ class State(Message):
     """Way ahead since the frame before, by odometry, metres; None unless the robot executed
     motions ahead.
     """
-    target_visible: Annotated[float | None, Field(ge=0, le=1)] = None
+    seen: Annotated[float | None, Field(ge=0, le=1)] = None
     """Probability that the target is in view; None if there is no target detector (filter only)."""
-    target_near: Annotated[float, Field(ge=0, le=1e3)] = 0.0
+    near: Annotated[float, Field(ge=0, le=1e3)] = 0.0
     """Distance from the target at the end of the taught ways, divided by the distance now."""
-    target_left: Annotated[float | None, Field(ge=-0.5, le=0.5)] = None
+    seen_left: Annotated[float | None, Field(ge=-0.5, le=0.5)] = None
     """Offset of the target to the left of the image's centre, as a share of the width; None if
     hidden.
     """
-    unexpected_ground_m: Annotated[float | None, Field(ge=0, le=1e6)] = None
+    strange_m: Annotated[float | None, Field(ge=0, le=1e6)] = None
     """Distance ahead to unexpected ground, metres; None if the ground is as taught or is not
     checked.
     """

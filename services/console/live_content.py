@@ -172,8 +172,8 @@ class LiveContent:
             cosine=round(state.cosine, 3),
             camera=state.camera,
             pitch=state.pitch_deg,
-            seen=None if state.target_visible is None else round(state.target_visible, 3),
-            left=state.target_left,
+            seen=None if state.seen is None else round(state.seen, 3),
+            left=state.seen_left,
             gap=state.duality_gap,
             state=state.state,
             places=[

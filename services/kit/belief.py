@@ -31,11 +31,9 @@ def fields_of(located: Located) -> dict[str, Any]:
         "moved_m": belief.moved,
     }
     if located.target is not None:
-        fields |= dict(
-            zip(("target_visible", "target_near", "target_left"), located.target, strict=True)
-        )
+        fields |= dict(zip(("seen", "near", "seen_left"), located.target, strict=True))
     if math.isfinite(located.unexpected_ground):
-        fields["unexpected_ground_m"] = located.unexpected_ground
+        fields["strange_m"] = located.unexpected_ground
     return fields
 
 
@@ -60,6 +58,6 @@ def belief_of(state: State) -> Belief:
 
 def target_of(state: State) -> TargetEstimate | None:
     """Return the detection of the target; None without a target detector."""
-    if state.target_visible is None:
+    if state.seen is None:
         return None
-    return TargetEstimate(state.target_visible, state.target_near, state.target_left)
+    return TargetEstimate(state.seen, state.near, state.seen_left)

@@ -148,9 +148,7 @@ class _ByFilter:
         elapsed_s = state.since(self._stamp_ns)
         self._stamp_ns = state.stamp_ns
         around = obstacles.around(state.episode, self._planner.radius_m)
-        unexpected_ground = (
-            math.inf if state.unexpected_ground_m is None else state.unexpected_ground_m
-        )
+        unexpected_ground = math.inf if state.strange_m is None else state.strange_m
         decision = self._planner.decide(
             belief_of(state), elapsed_s, delay_s, target_of(state), around, unexpected_ground
         )

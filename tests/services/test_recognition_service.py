@@ -90,8 +90,8 @@ def test_detected_target_is_seen(detecting: RecognitionService) -> None:
             detecting.see(wheels(tick, episode=label[-1]))
             update = detected((0.3, 0.4, 0.5, 0.6), label)
             state = detecting.handle(seen(tick, episode=label[-1]).model_copy(update=update))
-        assert state.target_visible == pytest.approx(found, abs=0.05)
-    assert (state.target_near, state.target_left) == (pytest.approx(1.0), pytest.approx(0.1))
+        assert state.seen == pytest.approx(found, abs=0.05)
+    assert (state.near, state.seen_left) == (pytest.approx(1.0), pytest.approx(0.1))
 
 
 def test_unexpected_ground_is_reported_when_it_is_watched(
@@ -113,7 +113,7 @@ def test_unexpected_ground_is_reported_when_it_is_watched(
             state = service.handle(
                 seen(tick).model_copy(update={"picture": light, "stamp_ns": tick * 100_000_000})
             )
-        assert (state.unexpected_ground_m is not None) == watches
+        assert (state.strange_m is not None) == watches
 
 
 def test_odometry_may_come_before_its_observation_or_after_it(

@@ -128,7 +128,7 @@ def test_model_learns_more_from_runs_and_reports_the_result(tmp_path: Path) -> N
     (tmp_path / "models").mkdir()
     (tmp_path / "drives").mkdir()
     model = corridor.save_model(tmp_path / "models" / "way.smal")
-    for number in range(4):
+    for number in range(6):
         record(tmp_path / "drives", list(run(f"run-{number}", 0.6)))
     library = Library(tmp_path)
     shown = list[dict[str, object]]()
