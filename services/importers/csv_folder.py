@@ -53,8 +53,8 @@ class _Line(BaseModel):
         """Return the frame of this line, its velocity in metres and radians per second."""
         velocity = pose = None
         if self.linear_m_s is not None and self.angular_rad_s is not None:
-            speed_m_s = self.linear_m_s * (job.speed or 1.0)
-            velocity = speed_m_s, self.angular_rad_s * (job.turn_rate or 1.0)
+            speed, turn_rate = job.scale()
+            velocity = self.linear_m_s * speed, self.angular_rad_s * turn_rate
         if self.x_m is not None and self.y_m is not None and self.heading_rad is not None:
             pose = self.x_m, self.y_m, self.heading_rad
         return Row(self.image or "", self.time_s, velocity, pose)

@@ -256,6 +256,7 @@ def _row(record: _Record, folder: str, job: ImportJob) -> Row:
     # A joystick can exceed full throttle, a car cannot. An angle of -1 is full left.
     throttle = min(max(record.throttle, -1.0), 1.0)
     angle = min(max(record.angle, -1.0), 1.0)
-    velocity = throttle * (job.speed or 1.0), -angle * throttle * (job.turn_rate or 1.0)
+    speed, turn_rate = job.scale()
+    velocity = throttle * speed, -angle * throttle * turn_rate
     # A tub of version 1 can store the whole path on the car.
     return Row(f"{folder}{record.image.rpartition('/')[2]}", record.time_s, velocity)

@@ -46,7 +46,7 @@ def _drives(
         except ValueError:
             tally.count(f"messages of {message.topic} do not match their type")
     images, velocity, odometry, camera = topics.choose(job)
-    scale = np.array((1.0, job.speed or 1.0, job.turn_rate or 1.0))
+    scale = np.array((1.0, *job.scale()))
     drive = ImportedDrive.of_rows(
         name,
         images.times_s,

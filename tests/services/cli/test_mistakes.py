@@ -82,6 +82,7 @@ MISTAKES = [
     (f"{IMPORT} x --robot Burger", 2, "'--robot'"),
     (f"{IMPORT} x --from 5 --to 5", 2, "--to 5: not after --from 5"),
     ("import donkeycar tub --out new --rotate 45", 2, "--rotate 45: unsupported; choose 90, 180"),
+    ("import donkeycar tub --out new --turn-rate 0", 2, "turn_rate: 0 is invalid"),
     ("import donkeycar damaged-tub --out new", 1, "damaged-tub"),
     (f"{EXPORT} no-such", 2, "no-such: not found"),
     (f"{EXPORT} file", 1, "file: not an MCAP file"),
