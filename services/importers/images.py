@@ -1,6 +1,7 @@
 """Conversion of foreign images to JPEG; upright JPEG files are copied unchanged."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any, Final, NamedTuple
 
@@ -103,6 +104,15 @@ def rotated(images: Images, clockwise_deg: int) -> Images:
 
 def _rotated(image: Image, clockwise_deg: int) -> bytes:
     return raw_as_jpeg(np.rot90(decode_jpeg(image()), -clockwise_deg // 90))
+
+
+def aspect_of(images: Images) -> float | None:
+    """Return height over width of the first usable image; None if no image is usable."""
+    for image in images():
+        with suppress(NotAnImage):
+            if (size := jpeg_size(image())) is not None:
+                return size[1] / size[0]
+    return None
 
 
 class Row(NamedTuple):
