@@ -111,7 +111,6 @@ class Player:
         """Publish each tick after `wait` returns; stop when `wait` reports the end."""
         ticks = self._track.play(self._node.robot, self.episode, time.time_ns(), self._wanted)
         try:
-            # disable=None: no bar in a pipe or a log.
             for tick in bar_of(ticks, total=len(self._track), unit="frame"):
                 if not wait(tick):
                     break
