@@ -1,5 +1,6 @@
 """Options that several commands share, and their checks."""
 
+import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -292,26 +293,39 @@ class Use:
     goal: Goal = None
 
 
-def faulty(path: str | Path, message: str) -> UsageError | JobError:
-    """Return the error for an input: its content is unusable, or the path is wrong."""
-    return JobError(message) if Path(path).is_file() else UsageError(message)
+def existing(path: Path, option: str = "", hint: str = "", *, folder: bool = False) -> Path:
+    """Return the path of an input file, or of a folder if allowed; raise UsageError if it is wrong.
+
+    Commands call this before they read, so that later errors are about the content.
+    """
+    fault = ""
+    if not os.access(path, os.F_OK):  # Path.exists raises PermissionError.
+        fault = "not found"
+    elif not folder and not path.is_file():
+        fault = "not a regular file"
+    elif not os.access(path, os.R_OK):
+        fault = "permission denied"
+    if fault:
+        raise UsageError(f"{option}{path}: {fault}{hint}")
+    return path
 
 
 def read_world(world: str, option: str = "--world ") -> LoadedWorld:
-    """Read a world before the processes start."""
+    """Read a world before the processes start; raise UsageError if there is no such world."""
+    mistake = JobError if Path(world).is_file() else UsageError
     try:
         return load_foreign_world(world)
     except WorldError as error:
         prefix = f"{option}{world}: " if option else ""
-        raise faulty(world, f"{prefix}{error}") from None
+        raise mistake(f"{prefix}{error}") from None
 
 
 def loaded(path: Path, option: str = "", hint: str = "") -> AnyModel:
-    """Read a model; raise an error with a prefix and a suffix if it is invalid."""
+    """Read a model; raise an error with a prefix and a suffix if it is not found or invalid."""
     try:
-        return load_model(path)
+        return load_model(existing(path, option, hint))
     except ModelError as error:
-        raise faulty(path, f"{option}{error}{hint}") from None
+        raise JobError(f"{option}{error}{hint}") from None
 
 
 def read_model(path: Path, use: Use) -> AnyModel:

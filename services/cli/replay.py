@@ -53,7 +53,7 @@ def replay(
                 f"--topics: {name!r} is unsupported; choose from {', '.join(REPLAYABLE)}"
             )
     wanted = {name: topic for name, topic in REPLAYABLE.items() if name in chosen}
-    tracks = tracks_of(recording)
+    tracks = tracks_of(options.existing(recording))
     # Robots run the same check, so no robot with this id starts until the replay ends.
     check_alone(
         reach.settings,

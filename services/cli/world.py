@@ -122,8 +122,7 @@ def import_world(
         ahead=start is not None and start.count(",") == 1,
         seed=seed,
     )
-    if not source.is_file():
-        raise UsageError(f"{source}: not found")
+    options.existing(source)
     # The file of a page has no name.
     inherited = re.fullmatch(r"/proc/self/fd/(\d+)", str(source))
     descriptors = (int(inherited[1]),) if inherited else ()

@@ -30,7 +30,7 @@ WORLD = "world import map.osm --out new.json"
 
 #: A model with options of ``run`` and ``up`` that do not fit it.
 MODELS = [
-    ("none.smal", "No such file"),
+    ("none.smal", "--model none.smal: not found"),
     ("text.smal", "text.smal"),
     ("newer.smal", f"format {FORMAT_VERSION + 1}"),
     ("mapped.smal --stride 2", "stride 2: the filter decides at every frame; for a stride"),
@@ -77,7 +77,7 @@ MISTAKES = [
     (f"{RUN} mapped.smal --json mapped.smal", 2, "--json mapped.smal"),
     (f"{RUN} mapped.smal --report file", 2, "--report file"),
     (f"{RUN} mapped.smal --record file/deeper", 2, "--record file/deeper"),
-    (f"{IMPORT} no-such", 2, "no-such: No such file or directory"),
+    (f"{IMPORT} no-such", 2, "no-such: not found"),
     (f"{IMPORT} x --goal \n", 2, "'--goal'"),
     (f"{IMPORT} x --robot Burger", 2, "'--robot'"),
     (f"{IMPORT} x --from 5 --to 5", 2, "--to 5: not after --from 5"),
@@ -133,8 +133,9 @@ MISTAKES = [
     ("topic info stat", 2, "did you mean state?"),
     ("topic echo stat", 2, "did you mean state?"),
     ("topic hz stat", 2, "did you mean state?"),
-    ("replay no-such.mcap", 2, "no-such.mcap: No such file"),
-    ("recording repair no-such.mcap", 2, "no-such.mcap: No such file"),
+    ("replay no-such.mcap", 2, "no-such.mcap: not found"),
+    ("recording repair no-such.mcap", 2, "no-such.mcap: not found"),
+    ("replay full", 2, "full: not a regular file"),
     ("match file file", 1, "nor a readable video"),
     ("world render atlantis --out new", 2, "atlantis.*campus"),
     ("demo --browser --connect tcp/127.0.0.1:9", 2, "--browser: unsupported with --connect"),
