@@ -1,7 +1,7 @@
 """Options that several commands share, and their checks."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Final, Self, TypeVar
@@ -240,9 +240,9 @@ class RunOptions:
 
     def refuse(self, simulator: Simulator, modalities: FeatureSettings | None = None) -> None:
         """Raise UsageError if an option conflicts with `connect`."""
-        for name, value in (asdict(simulator) | {"modalities": modalities}).items():
-            if value is not None and self.connect is not None:
-                raise UsageError(f"--{name}: unsupported with --connect; give it to `smal up`")
+        if self.connect is not None:
+            given = asdict(simulator) | {"modalities": modalities}
+            refuse(given, "with --connect; give it to `smal up`")
 
     def world(self, world: str | None) -> tuple[str, str | None]:
         """Return the world of a new stack, and the world name to require of the robot, if any."""
@@ -291,6 +291,21 @@ class Use:
         Option(min=1, help="Frames per decision, for the paper's scheme. [default: the model's l]"),
     ] = None
     goal: Goal = None
+
+
+def refuse(given: Mapping[str, object], why: str) -> None:
+    """Raise UsageError for the first of some options that is given.
+
+    Parameters
+    ----------
+    given
+        Values of the options by name, without dashes; None means not given.
+    why
+        Continuation of "--NAME: unsupported", with what to do.
+    """
+    for name, value in given.items():
+        if value is not None:
+            raise UsageError(f"--{name}: unsupported {why}")
 
 
 def existing(path: Path, option: str = "", hint: str = "", *, folder: bool = False) -> Path:

@@ -304,9 +304,8 @@ def _chosen_body(
         options.read_world(place)
         below = flags(root=files.root.resolve())
         return _Chosen(place, {}, (*simulator.flags(place), *below))
-    for name, value in {"world": world, **asdict(simulator)}.items():
-        if value is not None:
-            raise UsageError(f"--{name}: unsupported by {module or body.body}; leave it out")
+    given = {"world": world, **asdict(simulator)}
+    options.refuse(given, f"by {module or body.body}; leave it out")
     if size.robots > 1:
         raise UsageError(f"--robots: unsupported: {module or body.body} is one robot")
     if base is None:
