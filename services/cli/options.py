@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Self, TypeVar
 
 import typer
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 from typer import Option
 
 from schemas.codec import describe
@@ -73,9 +73,7 @@ def checked(check: Callable[[str], T]) -> Callable[[str], T]:
         try:
             return check(text)
         except ValueError as error:
-            raise typer.BadParameter(
-                describe(error) if isinstance(error, ValidationError) else str(error)
-            ) from None
+            raise typer.BadParameter(describe(error)) from None
 
     return parse
 

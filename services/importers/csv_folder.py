@@ -17,7 +17,7 @@ from itertools import chain
 from typing import Annotated, Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from schemas.codec import describe, printable
 from services.importers import layouts
@@ -122,8 +122,7 @@ def _lines(
             try:
                 yield _line(values, needed, None if rate_hz is None else number / rate_hz)
             except ValueError as error:
-                why = describe(error) if isinstance(error, ValidationError) else str(error)
-                tally.say_first("row", f"{called}: row {number + 1}: {why}")
+                tally.say_first("row", f"{called}: row {number + 1}: {describe(error)}")
                 tally.count("rows lack an image or a number")
     except csv.Error as error:
         raise ImportFailure(f"{called}: not CSV: {error}") from None
