@@ -14,7 +14,7 @@ import csv
 from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import chain
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
@@ -97,8 +97,8 @@ def _reads(inside: Inside, name: str, job: ImportJob, tally: Tally) -> Reads:
     shown = None if every[0].image else Film(inside, films[0], list(episodes.values()), tally).part
 
     def drives(episode: str) -> list[ImportedDrive]:
-        rows = episodes[episode]
-        return [drive_of(inside, episode, rows, tally, shown=shown, success=arrived.get(episode))]
+        fields: dict[str, Any] = {"success": arrived.get(episode), "turn_rate": job.scale()[1]}
+        return [drive_of(inside, episode, episodes[episode], tally, shown=shown, **fields)]
 
     return {episode: partial(drives, episode) for episode in episodes}
 

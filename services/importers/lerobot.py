@@ -219,6 +219,7 @@ class _DataSet:
             track,
             self._tally,
             success=bool(found[SUCCESS].any()) if SUCCESS in found else None,
+            turn_rate=where.radians,
         )
         return [drive]
 
