@@ -139,6 +139,7 @@ MISTAKES = [
     ("match file file", 1, "nor a readable video"),
     ("world render atlantis --out new", 2, "atlantis.*campus"),
     ("demo --browser --connect tcp/127.0.0.1:9", 2, "--browser: unsupported with --connect"),
+    ("demo --browser --runs 3", 2, "--runs: unsupported with --browser"),
     (f"secure init keys --robot {LONG} --robots 2", 2, "--robots"),
     ("secure init keys --host ", 2, "--host"),
     ("secure init keys --host b\u00fccher.example", 2, "--host"),
