@@ -66,8 +66,13 @@ def decode(cls: type[M], payload: bytes, encoding: str) -> M:
         raise DecodeError(f"{cls.schema_name()}: {describe(error)}") from None
 
 
-def describe(error: ValidationError) -> str:
-    """Describe the first invalid field and its valid values in one line, and count the others."""
+def describe(error: ValueError) -> str:
+    """Describe an invalid value in one line.
+
+    An error of pydantic names the first invalid field and its valid values, and counts the others.
+    """
+    if not isinstance(error, ValidationError):
+        return str(error)
     first, *others = error.errors(include_url=False, include_context=False)
     where = ".".join(str(part) for part in first["loc"]) or "message"
     more = f" (and {len(others)} more)" if others else ""

@@ -15,6 +15,9 @@ from services.cli.stack import flags
 from services.experiments.words import counted
 from services.kit.errors import UsageError
 
+_DRIVES: Final = 1
+_RUNS: Final = 5
+_SEED: Final = 1
 _SMAL: Final = "from services.cli.main import main; main()"
 
 
@@ -29,12 +32,25 @@ def demo(
         ),
     ] = None,
     drives: Annotated[
-        int, Option(min=1, envvar="SMAL_DEMO_DRIVES", help="Number of drives that teach.")
-    ] = 1,
-    runs: Annotated[int, Option(min=1, envvar="SMAL_DEMO_RUNS", help="Number of runs.")] = 5,
+        int | None,
+        Option(
+            min=1,
+            envvar="SMAL_DEMO_DRIVES",
+            help=f"Number of drives that teach. [default: {_DRIVES}]",
+        ),
+    ] = None,
+    runs: Annotated[
+        int | None,
+        Option(min=1, envvar="SMAL_DEMO_RUNS", help=f"Number of runs. [default: {_RUNS}]"),
+    ] = None,
     seed: Annotated[
-        int, Option(min=0, envvar="SMAL_DEMO_SEED", help="Seed of the first drive and run.")
-    ] = 1,
+        int | None,
+        Option(
+            min=0,
+            envvar="SMAL_DEMO_SEED",
+            help=f"Seed of the first drive and run. [default: {_SEED}]",
+        ),
+    ] = None,
     camera: options.CameraSize = None,
     out: Annotated[
         Path | None,
@@ -59,13 +75,20 @@ def demo(
     """
     name = world or (None if stack.connect else options.DEFAULT_WORLD)
     size = None if camera is None else f"{camera.width}x{camera.height}"
-    if browser and stack.connect is not None:
-        raise UsageError("--browser: unsupported with --connect; open the page of that stack")
+    if browser:
+        if stack.connect is not None:
+            raise UsageError("--browser: unsupported with --connect; open the page of that stack")
+        taught = {"drives": drives, "runs": runs, "seed": seed}
+        options.refuse(taught, "with --browser, where you drive by yourself; leave it out")
     out = out or Path(f"out/demo-{time.strftime('%Y%m%d-%H%M%S')}")
     outputs.make_folder(out, "--out")
     if browser:
-        _step("up", "--browser", *flags(world=name, camera=size, root=out, robot=stack.robot))
+        more = flags(world=name, camera=size, root=out, robot=stack.robot, secure=stack.secure)
+        _step("up", "--browser", *more)
         return
+    drives = drives or _DRIVES
+    runs = runs or _RUNS
+    seed = _SEED if seed is None else seed
     to = {"connect": stack.connect, "secure": stack.secure, "robot": stack.robot}
     reach = flags(**to) if stack.connect is not None else ()
     same = (*flags(world=name, camera=size, seed=seed), *reach)

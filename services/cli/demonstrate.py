@@ -101,9 +101,9 @@ def _record(
 
 
 def _draw(world: str | None, records: list[EpisodeRecord], picture: Path) -> None:
-    from services.cli.episodes.report import draw_routes  # noqa: PLC0415 - matplotlib takes a second to import
+    from services.cli.episodes.report import draw_routes, known_world  # noqa: PLC0415 - matplotlib takes a second to import
 
-    write_whole(picture, png(draw_routes(world, records)))
+    write_whole(picture, png(draw_routes(known_world(world, records), records)))
     tqdm.write(f"picture of {counted(len(records), 'drive')}: {picture}")
 
 

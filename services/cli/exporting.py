@@ -58,7 +58,6 @@ def export_recordings(
     tally = Tally()
     try:
         with outputs.new_folder(out, "--out") as folder:
-            # disable=None: a bar in a log file or a pipe hides the remarks.
             reading = bar_of(files, desc="reading", unit="file")
             drives = read(reading, speed, turn_rate, tally)
             total = sum(len(drive.ticks) for drive in drives)

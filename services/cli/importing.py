@@ -156,7 +156,7 @@ def import_recordings(
         raise UsageError(f"--to {part.to_s:g}: not after --from {part.from_s:g}")
     if part.rotate_deg not in ROTATIONS_DEG:
         raise UsageError(f"--rotate {part.rotate_deg}: unsupported; choose 90, 180 or 270")
-    path.stat()  # A path that does not exist is an invalid argument.
+    options.existing(path, folder=True)
     with outputs.workshop(out, "--out") as folder:
         asked = asdict(part) | asdict(scale) | {"episodes": tuple(part.episodes or ())}
         asked["reckon"] = not asked.pop("no_odometry")

@@ -23,7 +23,6 @@ from services.kit.version import program_version
 _EXIT_FAILED = 1
 _EXIT_USAGE = 2
 _EXIT_INTERRUPTED = 130
-_WRONG_PATH: Final = (FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError)
 #: Location and summary of each command. Modules are loaded on demand: all of them take seconds.
 COMMANDS: Final = {
     "doctor": ("services.cli.doctor:doctor", "Check the requirements of SMAL on this machine."),
@@ -142,16 +141,14 @@ def _told(error: BaseException) -> tuple[str, int]:
         case UsageError():
             return str(error), _EXIT_USAGE
         case JobError():
-            wrong_path = isinstance(error.__context__, _WRONG_PATH)
-            return str(error), _EXIT_USAGE if wrong_path else _EXIT_FAILED
+            return str(error), _EXIT_FAILED
         case Exception() if out_of_memory(error):
             return (
                 "out of memory; free some, or allow more (ulimit -v), and run the command again",
                 _EXIT_FAILED,
             )
         case OSError():
-            wrong_path = isinstance(error, _WRONG_PATH)
-            return describe_os_error(error), _EXIT_USAGE if wrong_path else _EXIT_FAILED
+            return describe_os_error(error), _EXIT_FAILED
         case KeyboardInterrupt() | typer.Abort():
             return "interrupted", _EXIT_INTERRUPTED
     # Imported late, because the cases above do not need it.

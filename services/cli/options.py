@@ -1,12 +1,13 @@
 """Options that several commands share, and their checks."""
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Final, Self, TypeVar
 
 import typer
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 from typer import Option
 
 from schemas.codec import describe
@@ -72,9 +73,7 @@ def checked(check: Callable[[str], T]) -> Callable[[str], T]:
         try:
             return check(text)
         except ValueError as error:
-            raise typer.BadParameter(
-                describe(error) if isinstance(error, ValidationError) else str(error)
-            ) from None
+            raise typer.BadParameter(describe(error)) from None
 
     return parse
 
@@ -239,9 +238,9 @@ class RunOptions:
 
     def refuse(self, simulator: Simulator, modalities: FeatureSettings | None = None) -> None:
         """Raise UsageError if an option conflicts with `connect`."""
-        for name, value in (asdict(simulator) | {"modalities": modalities}).items():
-            if value is not None and self.connect is not None:
-                raise UsageError(f"--{name}: unsupported with --connect; give it to `smal up`")
+        if self.connect is not None:
+            given = asdict(simulator) | {"modalities": modalities}
+            refuse(given, "with --connect; give it to `smal up`")
 
     def world(self, world: str | None) -> tuple[str, str | None]:
         """Return the world of a new stack, and the world name to require of the robot, if any."""
@@ -292,26 +291,54 @@ class Use:
     goal: Goal = None
 
 
-def faulty(path: str | Path, message: str) -> UsageError | JobError:
-    """Return the error for an input: its content is unusable, or the path is wrong."""
-    return JobError(message) if Path(path).is_file() else UsageError(message)
+def refuse(given: Mapping[str, object], why: str) -> None:
+    """Raise UsageError for the first of some options that is given.
+
+    Parameters
+    ----------
+    given
+        Values of the options by name, without dashes; None means not given.
+    why
+        Continuation of "--NAME: unsupported", with what to do.
+    """
+    for name, value in given.items():
+        if value is not None:
+            raise UsageError(f"--{name}: unsupported {why}")
+
+
+def existing(path: Path, option: str = "", hint: str = "", *, folder: bool = False) -> Path:
+    """Return the path of an input file, or of a folder if allowed; raise UsageError if it is wrong.
+
+    Commands call this before they read, so that later errors are about the content.
+    """
+    fault = ""
+    if not os.access(path, os.F_OK):  # Path.exists raises PermissionError.
+        fault = "not found"
+    elif not folder and not path.is_file():
+        fault = "not a regular file"
+    elif not os.access(path, os.R_OK):
+        fault = "permission denied"
+    if fault:
+        raise UsageError(f"{option}{path}: {fault}{hint}")
+    return path
 
 
 def read_world(world: str, option: str = "--world ") -> LoadedWorld:
-    """Read a world before the processes start."""
+    """Read a world before the processes start; raise UsageError if there is no such world."""
+    mistake = JobError if Path(world).is_file() else UsageError
     try:
         return load_foreign_world(world)
     except WorldError as error:
         prefix = f"{option}{world}: " if option else ""
-        raise faulty(world, f"{prefix}{error}") from None
+        raise mistake(f"{prefix}{error}") from None
 
 
 def loaded(path: Path, option: str = "", hint: str = "") -> AnyModel:
-    """Read a model; raise an error with a prefix and a suffix if it is invalid."""
+    """Read a model; raise an error with a prefix and a suffix if it is not found or invalid."""
     try:
-        return load_model(path)
+        return load_model(existing(path, option, hint))
     except ModelError as error:
-        raise faulty(path, f"{option}{error}{hint}") from None
+        raise JobError(f"{option}{error}{hint}") from None
 
 
 def read_model(path: Path, use: Use) -> AnyModel:

@@ -11,7 +11,7 @@ from typer import Argument, Option
 
 from services.cli import outputs
 from services.cli.grouping import STYLE
-from services.cli.options import Json
+from services.cli.options import Json, existing
 from services.experiments.words import counted, number, remark, table
 from services.kit.errors import UsageError
 from services.kit.process import EXIT_FAILED
@@ -94,6 +94,8 @@ def mend(
     if out is not None and out.exists() and not replace:
         raise UsageError(f"--out {out}: already exists; choose another name, or give --replace")
     outputs.check_file(out, "--out")
+    for path in recordings:
+        existing(path)
     made = out or usual_name(recordings[0], replace=replace)
     before, after = repair(recordings, made, replace=replace)
     if after is None:

@@ -53,7 +53,7 @@ def replay(
                 f"--topics: {name!r} is unsupported; choose from {', '.join(REPLAYABLE)}"
             )
     wanted = {name: topic for name, topic in REPLAYABLE.items() if name in chosen}
-    tracks = tracks_of(recording)
+    tracks = tracks_of(options.existing(recording))
     # Robots run the same check, so no robot with this id starts until the replay ends.
     check_alone(
         reach.settings,
@@ -111,7 +111,6 @@ class Player:
         """Publish each tick after `wait` returns; stop when `wait` reports the end."""
         ticks = self._track.play(self._node.robot, self.episode, time.time_ns(), self._wanted)
         try:
-            # disable=None: no bar in a pipe or a log.
             for tick in bar_of(ticks, total=len(self._track), unit="frame"):
                 if not wait(tick):
                     break

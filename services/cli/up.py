@@ -239,7 +239,8 @@ def up(
 
     Example: smal up --world campus --model campus.smal
     """
-    chosen = _chosen_body(robot_body, world, simulator, size, files)
+    below = flags(root=files.root.resolve())
+    chosen = _chosen_body(robot_body, world, simulator, size, below)
     options.fleet_of(reach.robot, size.robots)
     instances = size.instances
     chain, learned_on = learned.flags()
@@ -259,7 +260,6 @@ def up(
     pages = ports.pages(plan.fleet, files.root)
     recorded = files.recordings_of(plan.fleet)
     metrics = ports.metrics(list(plan.processes()))
-    below = flags(root=files.root.resolve())
     of_service = {
         "router": flags(insecure=insecure or None),
         "robot": chosen.flags,
@@ -294,19 +294,17 @@ def _chosen_body(
     world: str | None,
     simulator: options.Simulator,
     size: StackSize,
-    files: StackFiles,
+    below: tuple[str, ...],
 ) -> _Chosen:
-    """Return the body; UsageError for options that it does not have."""
+    """Return the body, with flags for its root folder; UsageError for options that it does not have."""
     module = body.other()
     base = body.base()
     if module is None and base is None:
         place = world or options.DEFAULT_WORLD
         options.read_world(place)
-        below = flags(root=files.root.resolve())
         return _Chosen(place, {}, (*simulator.flags(place), *below))
-    for name, value in {"world": world, **asdict(simulator)}.items():
-        if value is not None:
-            raise UsageError(f"--{name}: unsupported by {module or body.body}; leave it out")
+    given = {"world": world, **asdict(simulator)}
+    options.refuse(given, f"by {module or body.body}; leave it out")
     if size.robots > 1:
         raise UsageError(f"--robots: unsupported: {module or body.body} is one robot")
     if base is None:

@@ -3,7 +3,7 @@
 import math
 import re
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import asdict
 from io import BytesIO
@@ -123,8 +123,7 @@ def import_world(
         ahead=start is not None and start.count(",") == 1,
         seed=seed,
     )
-    if not source.is_file():
-        raise UsageError(f"{source}: not found")
+    options.existing(source)
     # The file of a page has no name.
     inherited = re.fullmatch(r"/proc/self/fd/(\d+)", str(source))
     descriptors = (int(inherited[1]),) if inherited else ()
@@ -132,14 +131,14 @@ def import_world(
     with ExitStack() as files:
         request["file"] = files.enter_context(outputs.writing(out, "--out")).name
         if scan_format(source) is not None:
-            _refuse("a scan", {"--around": around, "--radius": radius})
+            options.refuse({"around": around, "radius": radius}, "for a scan; leave it out")
             request["wishes"] = _scan_wishes(task, scale, up, floor, robot, step)
             mesh = outputs.writing(out.with_suffix(MESH_SUFFIX), "--out")
             request["mesh"] = files.enter_context(mesh).name
             function = "services.cli.world:make_from_scan"
         else:
-            options_of_scans = {"--scale": scale, "--up": up, "--floor": floor}
-            _refuse("a map", options_of_scans | {"--robot": robot, "--step": step})
+            of_scans = {"scale": scale, "up": up, "floor": floor, "robot": robot, "step": step}
+            options.refuse(of_scans, "for a map; leave it out")
             request["wishes"] = asdict(Wishes(task, _surroundings(around, radius)))
             function = "services.cli.world:make"
         rows = bounded(function, request, source, descriptors)
@@ -147,13 +146,6 @@ def import_world(
     for line in table(rows, left=1):
         typer.echo(line)
     typer.echo(f"wrote {out}; next: smal demonstrate --world {out} --out DIR")
-
-
-def _refuse(kind: str, values: Mapping[str, object]) -> None:
-    """Reject options that a kind of source does not have."""
-    for option, value in values.items():
-        if value is not None:
-            raise UsageError(f"{option}: unsupported for {kind}; leave it out")
 
 
 def _scan_wishes(task: RoleWishes, *choices: float | str | None) -> dict[str, Any]:

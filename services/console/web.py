@@ -210,7 +210,7 @@ class Web:
             self._service.do(how)
 
 
-class _NonsenseError(Exception):
+class _NonsenseError(ValueError):
     """A browser acknowledged an update that was not sent."""
 
 
@@ -229,9 +229,8 @@ async def _until_one_ends(browser: WebSocket, *tasks: Coroutine[Any, Any, None])
             if task.done():
                 task.result()
     except (ValidationError, _NonsenseError) as error:
-        why = describe(error) if isinstance(error, ValidationError) else str(error)
         with suppress(RuntimeError, WebSocketDisconnect):
-            await browser.close(NONSENSE, why[:100])
+            await browser.close(NONSENSE, describe(error)[:100])
     except (WebSocketDisconnect, RuntimeError):
         return  # The browser left during a send.
     finally:

@@ -11,23 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from services.experiments.colours import COLOURS, LINE, MUTED, TEXT
 from smal.evaluation.precision_recall import PrecisionRecall
 from smal.evaluation.reliability import Reliability
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
-TEXT = "#222222"
-MUTED = "#5f5f5f"
-LINE = "#dddddd"
-BACK = "#ffffff"
-COLOURS: Final = ("#0b5fa5", "#c2410c", "#1a7f37", "#7b1fa2", "#8a6100", "#0e7490")
-#: Variables of a page for the colours of a drawing, which differ in the dark.
-PAGE_COLOURS: Final = {
-    TEXT: "--text", MUTED: "--muted", LINE: "--line", BACK: "--back",
-    **{colour: f"--line{number}" for number, colour in enumerate(COLOURS, 1)},
-}  # fmt: skip
-# Colours that people with colour blindness can tell apart.
 DASHES: Final = (
     "-",
     "--",

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from services.experiments.colours import PAGE_COLOURS
 from services.experiments.words import counted
 from services.kit.jpeg import encode_jpeg, shrunk
 from services.kit.version import program_version
@@ -53,8 +54,6 @@ def svg(figure: "Figure") -> str:
     """Draw a figure as an inline SVG image, with the colours of the page, light or dark."""
     import matplotlib as mpl  # noqa: PLC0415 - takes a second to import
 
-    from services.experiments.drawing import PAGE_COLOURS  # noqa: PLC0415 - see above
-
     with mpl.rc_context({"svg.fonttype": "none"}):
         text = _saved(figure, format="svg", transparent=True).decode()
     text = re.sub(
@@ -89,7 +88,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {"png_url": _png_url, "photo_url": _photo_url}
-    environment.globals["counted"] = counted
+    environment.globals |= {"counted": counted, "colours": PAGE_COLOURS}
     return environment
 
 

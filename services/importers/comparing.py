@@ -93,8 +93,9 @@ def _as_seen(drive: ImportedDrive, tally: Tally) -> ImportedDrive:
             f"{drive.called}: the images are {late_s:.1f} s late, as the view turns after the "
             "odometry; aligned"
         )
-    motion = drive.motion if len(drive.motion) else motion_along(drive.track)
-    drive = replace(drive, times_s=drive.times_s - late_s, motion=motion)
+    if not len(drive.motion):
+        drive = replace(drive, motion=motion_along(drive.track), turn_rate=None)
+    drive = replace(drive, times_s=drive.times_s - late_s)
     return _on_its_side(drive, seen._replace(times_s=seen.times_s - late_s), tally)
 
 
@@ -110,8 +111,7 @@ def _on_its_side(drive: ImportedDrive, seen: ViewChanges, tally: Tally) -> Impor
     if len(against) == len(turns):
         tally.say(
             f"{drive.called}: the views turn to the other side than the robot; if the camera is "
-            "upside down, give --rotate 180; if turns to the right are positive, negate them "
-            "(--turn-rate -1)"
+            f"upside down, give --rotate 180; {_mirrored(drive)}"
         )
     elif against:
         tally.say(
@@ -123,6 +123,13 @@ def _on_its_side(drive: ImportedDrive, seen: ViewChanges, tally: Tally) -> Impor
         else:
             drive = replace(drive, motion=drive.motion * (1.0, 1.0, -1.0))
     return drive
+
+
+def _mirrored(drive: ImportedDrive) -> str:
+    """Return the remedy for a drive whose turns to the right are positive."""
+    if drive.turn_rate is None:
+        return "if the axes of the poses are left-handed, convert the poses to right-handed axes"
+    return f"if turns to the right are positive, negate them (--turn-rate {-drive.turn_rate:g})"
 
 
 def _without_pauses(drive: ImportedDrive, tally: Tally) -> ImportedDrive:

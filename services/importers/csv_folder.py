@@ -14,10 +14,10 @@ import csv
 from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import chain
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from schemas.codec import describe, printable
 from services.importers import layouts
@@ -53,8 +53,8 @@ class _Line(BaseModel):
         """Return the frame of this line, its velocity in metres and radians per second."""
         velocity = pose = None
         if self.linear_m_s is not None and self.angular_rad_s is not None:
-            speed_m_s = self.linear_m_s * (job.speed or 1.0)
-            velocity = speed_m_s, self.angular_rad_s * (job.turn_rate or 1.0)
+            speed, turn_rate = job.scale()
+            velocity = self.linear_m_s * speed, self.angular_rad_s * turn_rate
         if self.x_m is not None and self.y_m is not None and self.heading_rad is not None:
             pose = self.x_m, self.y_m, self.heading_rad
         return Row(self.image or "", self.time_s, velocity, pose)
@@ -97,8 +97,8 @@ def _reads(inside: Inside, name: str, job: ImportJob, tally: Tally) -> Reads:
     shown = None if every[0].image else Film(inside, films[0], list(episodes.values()), tally).part
 
     def drives(episode: str) -> list[ImportedDrive]:
-        rows = episodes[episode]
-        return [drive_of(inside, episode, rows, tally, shown=shown, success=arrived.get(episode))]
+        fields: dict[str, Any] = {"success": arrived.get(episode), "turn_rate": job.scale()[1]}
+        return [drive_of(inside, episode, episodes[episode], tally, shown=shown, **fields)]
 
     return {episode: partial(drives, episode) for episode in episodes}
 
@@ -122,8 +122,7 @@ def _lines(
             try:
                 yield _line(values, needed, None if rate_hz is None else number / rate_hz)
             except ValueError as error:
-                why = describe(error) if isinstance(error, ValidationError) else str(error)
-                tally.say_first("row", f"{called}: row {number + 1}: {why}")
+                tally.say_first("row", f"{called}: row {number + 1}: {describe(error)}")
                 tally.count("rows lack an image or a number")
     except csv.Error as error:
         raise ImportFailure(f"{called}: not CSV: {error}") from None

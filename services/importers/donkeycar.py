@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from datetime import datetime
 from functools import partial
 from itertools import pairwise
-from typing import Annotated, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, JsonValue, RootModel
@@ -134,9 +134,12 @@ def _drives(inside: Inside, folder: str, job: ImportJob, tally: Tally) -> list[I
             f"{inside.called(folder)}: no record in this tub has {', '.join(fields)} and a time; "
             "if it has no times, give the frame rate with --rate, for example --rate 20"
         )
-    metric = job.speed is not None and job.turn_rate is not None
+    units: dict[str, Any] = {
+        "metric": job.speed is not None and job.turn_rate is not None,
+        "turn_rate": job.scale()[1],
+    }
     return [
-        drive_of(inside, f"{folder}{name}".rstrip("/"), rows, tally, metric=metric)
+        drive_of(inside, f"{folder}{name}".rstrip("/"), rows, tally, **units)
         for session, all_rows in sessions.items()
         for name, rows in ([(session, all_rows)] if second else _runs(session, all_rows))
     ]
@@ -256,6 +259,7 @@ def _row(record: _Record, folder: str, job: ImportJob) -> Row:
     # A joystick can exceed full throttle, a car cannot. An angle of -1 is full left.
     throttle = min(max(record.throttle, -1.0), 1.0)
     angle = min(max(record.angle, -1.0), 1.0)
-    velocity = throttle * (job.speed or 1.0), -angle * throttle * (job.turn_rate or 1.0)
+    speed, turn_rate = job.scale()
+    velocity = throttle * speed, -angle * throttle * turn_rate
     # A tub of version 1 can store the whole path on the car.
     return Row(f"{folder}{record.image.rpartition('/')[2]}", record.time_s, velocity)

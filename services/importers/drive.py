@@ -60,6 +60,8 @@ class ImportedDrive:
     #: (l, 3) time, speed ahead, turn rate, ascending: velocities that the odometry reports.
     twist: Array = field(default_factory=lambda: np.zeros((0, 3)))
     camera: Camera | None = None  # None if unknown.
+    #: Factor of the turn rates of the source; None if they are computed from poses.
+    turn_rate: float | None = 1.0
     metric: bool = True  # Whether velocities are in metres and radians per second.
     reckoned: bool = False  # Whether the track is computed from the velocities.
 

@@ -1,6 +1,7 @@
 """Conversion of foreign images to JPEG; upright JPEG files are copied unchanged."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any, Final, NamedTuple
 
@@ -105,6 +106,15 @@ def _rotated(image: Image, clockwise_deg: int) -> bytes:
     return raw_as_jpeg(np.rot90(decode_jpeg(image()), -clockwise_deg // 90))
 
 
+def aspect_of(images: Images) -> float | None:
+    """Return height over width of the first usable image; None if no image is usable."""
+    for image in images():
+        with suppress(NotAnImage):
+            if (size := jpeg_size(image())) is not None:
+                return size[1] / size[0]
+    return None
+
+
 class Row(NamedTuple):
     """A frame: image file, time, velocity (speed ahead, turn rate), and pose by odometry."""
 
@@ -125,12 +135,12 @@ def drive_of(
     tally: Tally,
     *,
     shown: Shown | None = None,
-    success: bool | None = None,
-    metric: bool = True,
+    **more: Any,  # noqa: ANN401
 ) -> ImportedDrive:
     """Create a drive from its frames; raise ImportFailure if the frame rate is implausible.
 
     The images are the files of the rows, or, with their times, those that ``shown`` returns.
+    ``more`` are further fields of the drive.
     """
     rows = _distinct(rows, tally) if shown is None else rows
     times_s = in_order(np.array([row.time_s for row in rows]), tally)
@@ -149,9 +159,7 @@ def drive_of(
         )
     motion = [(row.time_s, *row.velocity) for row in rows if row.velocity is not None]
     track = [(row.time_s, *row.pose) for row in rows if row.pose is not None]
-    return ImportedDrive.of_rows(
-        name, times_s, images, motion, track, tally, success=success, metric=metric
-    )
+    return ImportedDrive.of_rows(name, times_s, images, motion, track, tally, **more)
 
 
 def _distinct(rows: Sequence[Row], tally: Tally) -> Sequence[Row]:

@@ -4,7 +4,7 @@ import importlib.util
 from collections.abc import Sequence
 from typing import Annotated, Final, Literal, get_args
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from schemas.base import STILL, TURNING, RobotId, Strict
 from schemas.codec import printable
@@ -36,6 +36,17 @@ _Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
 _Rate = Annotated[float, Field(gt=0.0, le=1000.0)]
 
 
+def _not_zero(value: float) -> float:
+    if value == 0.0:
+        raise ValueError(
+            "0 is invalid: it removes every turn; omit it, or give the radians per second of value 1"
+        )
+    return value
+
+
+_TurnRate = Annotated[float, Field(ge=-1000.0, le=1000.0), AfterValidator(_not_zero)]
+
+
 class ImportJob(Strict):
     """Options of an import (see `smal import --help`), under the names of the source."""
 
@@ -58,8 +69,15 @@ class ImportJob(Strict):
     odometry: str | None = None
     rate_hz: _Rate | None = None
     speed: _Rate | None = None
-    turn_rate: Annotated[float, Field(ge=-1000.0, le=1000.0)] | None = None  # Below 0: mirrored.
+    turn_rate: _TurnRate | None = None  # Below 0: mirrored.
     episodes: tuple[str, ...] = ()
+
+    def scale(self, turn_rate: float = 1.0) -> tuple[float, float]:
+        """Return speed and turn rate of value 1, by default 1 m/s and a turn rate of the source."""
+        return (
+            1.0 if self.speed is None else self.speed,
+            turn_rate if self.turn_rate is None else self.turn_rate,
+        )
 
     def check_used(self, source: str, *used: str) -> None:
         """Raise ImportFailure if an option is set that has no effect on a kind of source."""

@@ -13,7 +13,7 @@ from pathlib import PurePath
 from typing import Final
 
 import numpy as np
-from pydantic import BaseModel, FiniteFloat, Json, PositiveInt, ValidationError
+from pydantic import BaseModel, FiniteFloat, Json, PositiveInt
 from scipy.spatial.transform import Rotation
 
 from schemas.codec import describe, printable
@@ -211,8 +211,8 @@ def _euroc_lens(inside: Inside, folder: str, tally: Tally) -> Camera | None:
             sensor.resolution, (focal, column, row), lens, sensor.distortion_coefficients
         )
     except ValueError as error:
-        why = describe(error) if isinstance(error, ValidationError) else str(error)
-        tally.say(f"{inside.called(name)}: calibration not used: {printable(why)}")
+        why = printable(describe(error))
+        tally.say(f"{inside.called(name)}: calibration not used: {why}")
         return None
 
 

@@ -219,6 +219,7 @@ class _DataSet:
             track,
             self._tally,
             success=bool(found[SUCCESS].any()) if SUCCESS in found else None,
+            turn_rate=where.radians,
         )
         return [drive]
 
@@ -275,8 +276,7 @@ def _velocity(info: _Info, job: ImportJob, called: str) -> _Velocity:
             linear,
             angular,
             _index(names, _SIDEWAYS),
-            job.speed or 1.0,
-            job.turn_rate or radians,
+            *job.scale(radians),
         )
     named = (f"{key}: {', '.join(info.names(key)) or 'no names'}" for key in numbers)
     raise ImportFailure(

@@ -18,7 +18,7 @@ from schemas.motion import Odometry
 from services.importers.drive import POSE, Array, ImportedDrive, ImportFailure, NotAnImage, Tally
 from services.importers.job import ImportJob
 from services.importers.ticks import Moves, Nominal, Ticks, odometry, shares_of, ticks
-from services.kit.cameras import camera_info, turned
+from services.kit.cameras import camera_info
 from services.kit.jpeg import jpeg_size
 from services.recordings.writer import EpisodeWriter
 from smal.camera import Camera
@@ -109,7 +109,7 @@ class _Episode:
         width, height = jpeg_size(jpeg) or (0, 0)
         yield CompressedImage.after(cause, width=width, height=height, data=jpeg)
         if self.camera is not None and not self.atoms:
-            yield camera_info(cause, self._turned(self.camera, width, height), width, height)
+            yield camera_info(cause, self.camera, width, height)
         if self.poses is not None and not np.isnan(self.poses[row, 0]):
             pose = self.poses[row].round(_DIGITS).tolist()
             yield Odometry.after(cause, **dict(zip(_ODOMETRY, pose, strict=True)))
@@ -118,17 +118,6 @@ class _Episode:
         self.atoms[atom] += 1
         done = share._asdict() | {"atom": atom, "source": "teleop", "reason": "command"}
         yield CommandApplied.after(cause, **done)
-
-    def _turned(self, camera: Camera, width: int, height: int) -> Camera:
-        """Turn a camera of the source as its images, which then have this size."""
-        if self._job.field_of_view_deg is not None:
-            return camera
-        quarters = self._job.rotate_deg // 90
-        aspect = height / width if quarters % 2 == 0 else width / height
-        for _ in range(quarters):
-            camera = turned(camera, aspect)
-            aspect = 1.0 / aspect
-        return camera
 
     def _header(self, row: int) -> Message:
         tick = int(self._shown.numbers[row])

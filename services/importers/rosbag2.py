@@ -46,16 +46,17 @@ def _drives(
         except ValueError:
             tally.count(f"messages of {message.topic} do not match their type")
     images, velocity, odometry, camera = topics.choose(job)
-    scale = np.array((1.0, job.speed or 1.0, job.turn_rate or 1.0))
+    speed, turn_rate = job.scale()
     drive = ImportedDrive.of_rows(
         name,
         images.times_s,
         partial(_images, inside, files, images.numbers, tally, BitDepth()),
-        velocity.reported * scale,
+        velocity.reported * (1.0, speed, turn_rate),
         [] if odometry is None else odometry.track,
         tally,
         twist=np.zeros((0, 3)) if odometry is None else odometry.reported,
         camera=camera,
+        turn_rate=turn_rate,
     )
     return [drive]
 

@@ -20,11 +20,12 @@ from schemas.base import ATOMS
 from schemas.codec import printable
 from services.importers.comparing import sound
 from services.importers.drive import ImportedDrive, ImportFailure, Reads, Tally
-from services.importers.images import rotated
+from services.importers.images import aspect_of, rotated
 from services.importers.inside import Inside
 from services.importers.job import FORMATS, Format, ImportJob, ImportReport, OdometryOrigin
 from services.importers.recording import Written, write
 from services.importers.ticks import Nominal, nominal
+from services.kit.cameras import turned
 from services.kit.errors import describe_os_error
 from smal.files.confined import ConfinedError, Work
 
@@ -50,9 +51,10 @@ def run(
         If the source cannot be read, or the recordings cannot be written.
     """
     try:
-        read = [_rotated(drive, job) for drive in _drives(job, tally)]
+        read = _drives(job, tally)
         counts = tally.counts.copy()
-        drives = _gathered([partial(sound, drive, tally) for drive in read], tally)
+        upright = [_rotated(drive, job.rotate_deg) for drive in read]
+        drives = _gathered([partial(sound, drive, tally) for drive in upright], tally)
         tally.counts = counts  # The writer counts the compared images as it reads them again.
         usual = nominal(np.concatenate([drive.motion[:, 1:] for drive in drives]), job.quantile)
         if usual.angular > _MOST_TURN and all(drive.metric for drive in drives):
@@ -91,10 +93,15 @@ def _drives(job: ImportJob, tally: Tally) -> list[ImportedDrive]:
     return drives
 
 
-def _rotated(drive: ImportedDrive, job: ImportJob) -> ImportedDrive:
-    if not job.rotate_deg:
+def _rotated(drive: ImportedDrive, clockwise_deg: int) -> ImportedDrive:
+    """Turn the images of a drive, and its camera with them."""
+    if not clockwise_deg:
         return drive
-    return replace(drive, images=rotated(drive.images, job.rotate_deg))
+    camera = drive.camera
+    if camera is not None:
+        aspect = aspect_of(drive.images)
+        camera = None if aspect is None else turned(camera, clockwise_deg, aspect)
+    return replace(drive, images=rotated(drive.images, clockwise_deg), camera=camera)
 
 
 def _leads(name: str, episodes: Sequence[str]) -> bool:

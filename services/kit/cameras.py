@@ -53,7 +53,21 @@ def calibrated(
     return Camera(focal / width, lens, distortion, centre)
 
 
-def turned(camera: Camera, aspect: float) -> Camera:
-    """Return the camera of images turned clockwise by 90 degrees; aspect is height over width."""
-    right, down = camera.centre
-    return replace(camera, focal=camera.focal / aspect, centre=(-down / aspect, right / aspect))
+def turned(camera: Camera, clockwise_deg: int, aspect: float) -> Camera:
+    """Return the camera of images turned by a multiple of 90 degrees.
+
+    Parameters
+    ----------
+    camera
+        Camera of the images before the turn.
+    clockwise_deg
+        Turn of the images, degrees.
+    aspect
+        Height over width of the images before the turn.
+    """
+    for _ in range(clockwise_deg // 90):
+        right, down = camera.centre
+        focal = camera.focal / aspect
+        camera = replace(camera, focal=focal, centre=(-down / aspect, right / aspect))
+        aspect = 1.0 / aspect
+    return camera

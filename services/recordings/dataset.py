@@ -111,25 +111,35 @@ class Teacher:
         advance("reading", len(paths), len(paths))
         return self.teaching
 
-    def read(self, path: Path) -> None:
-        """Add the demonstrations of a file; a defect becomes a remark, never an exception."""
+    def read(self, path: Path) -> list[RecordedEpisode]:
+        """Add the demonstrations of a file; a defect becomes a remark, never an exception.
+
+        Returns
+        -------
+        list of RecordedEpisode
+            The episodes with demonstrations.
+        """
         free = self._allowance.left
-        taught = len(self.teaching.demonstrations)
         try:
             recording = read_recording(path, self._allowance)
         except RecordingError as error:
             first = first_of(path)
             self._remark(str(error) if first is None else f"{error}; {_joined(first, path)}")
-            return
+            return []
         self.teaching.recordings += 1
         self.teaching.remarks.extend(recording.remarks())
-        for episode in recording.episodes:
-            if not self._episodes or episode.episode in self._episodes:
-                self._take(path, episode)
-        if len(self.teaching.demonstrations) == taught:
+        taken = [
+            episode
+            for episode in recording.episodes
+            if (not self._episodes or episode.episode in self._episodes)
+            and self._take(path, episode)
+        ]
+        if not taken:
             self._allowance.left = free  # Its bytes are not kept.
+        return taken
 
-    def _take(self, path: Path, episode: RecordedEpisode) -> None:
+    def _take(self, path: Path, episode: RecordedEpisode) -> bool:
+        """Add the demonstrations of an episode, or its reason not to teach; return whether it teaches."""
         here = f"{path}: episode {episode.episode}"
         try:
             self._check_is_first(path, episode)
@@ -140,7 +150,7 @@ class Teacher:
             pieces = self._pieces(here, episode)
         except _LeftOut as reason:
             self.teaching.uses.append(DriveUse(episode.episode, episode.frames, 0, str(reason)))
-            return
+            return False
         self.teaching.worlds.add(episode.world)
         end = int(pieces[0][0])
         for ticks in pieces:
@@ -150,6 +160,7 @@ class Teacher:
             lost = int(ticks[0]) - end
             self.teaching.demonstrations.append(replace(demonstration, lost=lost))
             end = int(ticks[-1]) + 1
+        return True
 
     def _check_is_first(self, path: Path, episode: RecordedEpisode) -> None:
         other = self._seen.setdefault((episode.robot, episode.episode), path)

@@ -21,7 +21,8 @@ from matplotlib.figure import Figure
 
 from services.cli import options
 from services.cli.stack import Stack, StackPlan, flags, free_endpoint
-from services.experiments.drawing import COLOURS, MUTED, legend, styled
+from services.experiments.colours import COLOURS, MUTED
+from services.experiments.drawing import legend, styled
 from services.kit.errors import JobError
 from tests.benchmarks.faults.benchmark import taught_model
 from tests.benchmarks.faults.rig import CAMERA, WORLD

@@ -43,7 +43,7 @@ def write_report(
         for name, ms in summary["decision_latency_ms"].items()
     }
     has_poses = any(record.poses for record in records)
-    there = _known(world, records)
+    there = known_world(world, records)
     file, learned = model
     taught_in = getattr(learned, "world", "")
 
@@ -64,7 +64,7 @@ def write_report(
             "decision, median": latency["p50"],
             "decision, 95 %": latency["p95"],
         },
-        routes=html.png(draw_routes(world, records)) if has_poses else None,
+        routes=html.png(draw_routes(there, records)) if has_poses else None,
         shown=shown,
         model=f"{printable(str(file))}, checksum {learned.checksum[:12]}"
         + (f", taught in {printable(taught_in)}" if taught_in else ""),
@@ -76,11 +76,10 @@ def write_report(
     )
 
 
-def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:
-    """Draw the routes of the episodes, coloured by outcome, on the map of a known world."""
+def draw_routes(there: World | None, records: Sequence[EpisodeRecord]) -> Figure:
+    """Draw the routes of the episodes, coloured by outcome, on the map of their world if known."""
     figure = Figure(figsize=(9, 9), layout="constrained")
     axes = figure.add_subplot()
-    there = _known(world, records)
     seen: list[NDArray[np.float64]] = []
     for outline in dict.fromkeys(outline for record in records for outline in record.things):
         axes.fill(
@@ -108,7 +107,7 @@ def draw_routes(world: str | None, records: Sequence[EpisodeRecord]) -> Figure:
     return figure
 
 
-def _known(world: str | None, records: Sequence[EpisodeRecord]) -> World | None:
+def known_world(world: str | None, records: Sequence[EpisodeRecord]) -> World | None:
     """Return the requested world, or an included world that the robot names, but never its path."""
     name = world or (records[0].world if records[0].world in known_worlds() else None)
     return None if name is None else load_world(name)

@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from services.experiments import html
-from services.experiments.drawing import COLOURS, MUTED, draw_reliability, figure, legend, styled
+from services.experiments.colours import COLOURS, MUTED
+from services.experiments.drawing import draw_reliability, figure, legend, styled
 from services.experiments.laps.asking import LOST, WITHIN, Judged
 from services.experiments.laps.finding import Lap
 from smal.files.container import write_whole

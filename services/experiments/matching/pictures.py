@@ -7,7 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from services.experiments.drawing import COLOURS, MUTED, draw_curve, draw_reliability, styled
+from services.experiments.colours import COLOURS, MUTED
+from services.experiments.drawing import draw_curve, draw_reliability, styled
 from services.experiments.matching.report import MatchQuality
 from smal.evaluation.ground_truth import IntervalTruth
 from smal.place_recognition import Matches

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from schemas.codec import printable
 from services.experiments.showing.summary import taught_drives
 from services.recordings.dataset import Teacher
-from services.recordings.reader import read_recording
-from services.recordings.recorded import episode_of, ticks_of
+from services.recordings.recorded import RecordedEpisode, episode_of, ticks_of
 from smal.model import Model
 from smal.paper.model import PaperModel
 from smal.teaching.demonstration import Demonstration, whole_drives
@@ -31,12 +30,9 @@ class TaughtDrives:
 def find_drives(model: Model | PaperModel, recordings: Iterable[Path]) -> TaughtDrives:
     """Find the drives of a model by the names of their parts, and check their frames."""
     shortest = 1 if isinstance(model, Model) else model.sequence_length
-    episodes = {episode_of(name) for one in taught_drives(model) for name in one.parts}
-    teacher = Teacher(model.feature_settings, shortest, include_runs=True, episodes=episodes)
-    paths = []
-    for path in recordings:
-        teacher.read(path)
-        paths.append(path)
+    names = {episode_of(name) for one in taught_drives(model) for name in one.parts}
+    teacher = Teacher(model.feature_settings, shortest, include_runs=True, episodes=names)
+    read = [episode for path in recordings for episode in teacher.read(path)]
     recorded = {one.name: one for one in teacher.teaching.demonstrations}
     whole: dict[tuple[str, ...], Demonstration] = {(name,): one for name, one in recorded.items()}
     whole |= {drive.names: drive.whole for drive in whole_drives(recorded.values())}
@@ -49,16 +45,14 @@ def find_drives(model: Model | PaperModel, recordings: Iterable[Path]) -> Taught
             missing.append(f"{printable(', '.join(parts))}: {fault}")
         else:
             found[number] = one
-    truth = None if missing or not isinstance(model, Model) else _truth(model, paths)
+    truth = None if missing or not isinstance(model, Model) else _truth(model, read)
     return TaughtDrives(found, tuple(missing), tuple(teacher.teaching.lines()), truth)
 
 
-def _truth(model: Model, recordings: list[Path]) -> NDArray[np.float64] | None:
+def _truth(model: Model, read: list[RecordedEpisode]) -> NDArray[np.float64] | None:
     """Return the true poses (k, 3) of the keyframes, or None if a pose was not recorded."""
     taught = model.mapped
-    episodes = {
-        episode.episode: episode for path in recordings for episode in read_recording(path).episodes
-    }
+    episodes = {episode.episode: episode for episode in read}
     first = taught.drives.searchsorted(range(taught.drive_count))
     poses = []
     for key, drive in zip(taught.keyframes.tolist(), taught.key_drives.tolist(), strict=True):

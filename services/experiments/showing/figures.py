@@ -8,19 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from services.experiments.drawing import (
-    BACK,
-    COLOURS,
-    DASHES,
-    LINE,
-    MUTED,
-    TEXT,
-    WIDTH_IN,
-    figure,
-    legend,
-    look_at,
-    styled,
-)
+from services.experiments.colours import BACK, COLOURS, LINE, MUTED, TEXT
+from services.experiments.drawing import DASHES, WIDTH_IN, figure, legend, look_at, styled
 from services.experiments.showing.ways import Believed, Ways
 from services.simulator.world import World
 from services.simulator.world.map_view import draw_map

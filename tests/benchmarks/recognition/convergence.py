@@ -7,7 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from services.experiments.drawing import COLOURS, MUTED, styled
+from services.experiments.colours import COLOURS, MUTED
+from services.experiments.drawing import styled
 from smal.paper.state_matching import solve
 from tests.benchmarks.recognition.algorithm2 import algorithm2
 

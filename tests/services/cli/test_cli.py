@@ -83,6 +83,8 @@ def test_help_and_version_load_no_command(smal: Smal) -> None:
     [
         (OSError(errno.ENOSPC, "No space left on device", "/data/x.json"), EXIT_FAILED,
          "smal: /data/x.json: No space left on device\n"),
+        (FileNotFoundError(errno.ENOENT, "No such file or directory", "/data/x.json"), EXIT_FAILED,
+         "smal: /data/x.json: No such file or directory\n"),
         (TimeoutError(), EXIT_FAILED, "smal: TimeoutError\n"),
         (KeyboardInterrupt(), 130, "smal: interrupted\n"),
     ],

@@ -159,6 +159,31 @@ def test_layout_of_a_data_set_is_imported(layout: str, tmp_path: Path) -> None:
     assert report.turn_rate == pytest.approx(0.8, rel=0.02)
 
 
+def left_handed(poses: Path) -> None:
+    """Mirror the poses of a file: the axis to the left becomes the axis to the right."""
+    signs = np.array([1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
+    np.savetxt(poses, np.loadtxt(poses) * signs, "%.9f")
+
+
+@pytest.mark.parametrize("cause", ["lens", "poses"])
+def test_remedy_needs_no_velocities_when_views_turn_otherwise(cause: str, tmp_path: Path) -> None:
+    folder = tum(tmp_path / "set", OPTICAL)
+    if cause == "poses":
+        left_handed(folder / "groundtruth.txt")
+    for file in folder.glob("rgb/*.png") if cause == "lens" else ():
+        cv2.imwrite(str(file), np.rot90(cv2.imread(str(file)), 2))
+    _, tally = imported(folder, "folder", tmp_path / "out")
+    (remark,) = [line for line in tally.lines() if "the views turn to the other side" in line]
+    assert "give --rotate 180; if the axes of the poses are left-handed, convert" in remark
+    assert "--turn-rate" not in remark
+    if cause == "poses":
+        left_handed(folder / "groundtruth.txt")
+    upright = {"rotate_deg": 180} if cause == "lens" else {}
+    report, tally = imported(folder, "folder", tmp_path / "mended", **upright)
+    assert "the views turn to the other side" not in " ".join(tally.lines())
+    check_drive(episode_of(report), blurred=4)
+
+
 def test_layout_is_refused_when_it_has_no_poses(tmp_path: Path) -> None:
     folder = tum(tmp_path / "set", OPTICAL)
     (folder / "groundtruth.txt").unlink()

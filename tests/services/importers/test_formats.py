@@ -13,6 +13,7 @@ from services.importers import images
 from services.importers.drive import ImportFailure, Tally
 from services.importers.job import ImportJob, ImportReport
 from services.importers.run import run
+from services.kit.cameras import camera_of
 from services.recordings.dataset import Teacher
 from services.recordings.encoding import decode_image
 from services.recordings.reader import read_recording
@@ -153,6 +154,7 @@ def test_calibration_is_rotated_with_its_images(tmp_path: Path) -> None:
     # The principal point was 32 of 64 columns and 20 of 48 rows: the rows become the columns.
     assert (camera.width, camera.height, camera.focal_px) == (48, 64, pytest.approx(45.0))
     assert (camera.centre_x_px, camera.centre_y_px) == pytest.approx((28.0, 32.0))
+    assert report.field_of_view_deg == pytest.approx(camera_of(camera).field_deg)
 
 
 def test_a_bag_without_commands_has_those_of_its_odometry(tmp_path: Path) -> None:

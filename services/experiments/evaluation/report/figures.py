@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from schemas.base import TICK_S
-from services.experiments.drawing import COLOURS, TEXT, draw_curve, look_at, styled
+from services.experiments.colours import COLOURS, TEXT
+from services.experiments.drawing import draw_curve, look_at, styled
 from services.experiments.evaluation.degradation import DEGRADATIONS
 from services.experiments.evaluation.drivers import DEFAULT_LENGTH
 from services.experiments.evaluation.plan import RecognizerName
