@@ -24,7 +24,7 @@ QUERY_SEED = 1000
 RUN_SEED = 1
 CLOUDS_SEED = 100
 JUDGED_TICKS: Final = 4  # Distance of judged frames: ten per second show nearly the same.
-#: Number of searches of SMAL and of its best baseline, and of errands; and number of sets of drives
+#: Number of searches of SMAL and of its best baseline, and of tasks; and number of sets of drives
 #: after one drive, each of which teaches alone.
 RUNS = 10
 TAUGHT = 5
@@ -172,7 +172,7 @@ class WorldPlan:
     lengths: tuple[int, ...] = (DEFAULT_LENGTH,)  # Sequence lengths l for precision and recall.
     recognized: tuple[str, ...] = ()  # Degradations of the queries.
     trials: tuple[Trial, ...] = ()
-    errands: bool = False  # Whether to run the errands, which only the world ``terrace`` has.
+    tasks: bool = False  # Whether to run the tasks, which only the world ``terrace`` has.
 
     @property
     def title(self) -> str:
@@ -256,7 +256,7 @@ FULL: Final = EvaluationPlan(
             for world, criterion in (("indoor", _INDOOR), ("campus", _OUTDOOR))
         ),
         # A street of similar houses with junctions.
-        WorldPlan("terrace", _OUTDOOR, errands=True, trials=_usual(RUNS)),
+        WorldPlan("terrace", _OUTDOOR, tasks=True, trials=_usual(RUNS)),
     ),
 )  # fmt: skip
 
@@ -269,7 +269,7 @@ QUICK: Final = EvaluationPlan(
         ),
     ),
     omitted=(
-        "the campus, and the terrace with its errands",
+        "the campus, and the terrace with its tasks",
         "4 and 12 drives",
         "lengths of 10 and 40 frames, and searches with 20",
         "most of the runs (3 instead of 5 and 10), so that intervals are wide",

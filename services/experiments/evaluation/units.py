@@ -23,7 +23,6 @@ from services.experiments.evaluation.drives import (
     load_arrays,
     save_arrays,
 )
-from services.experiments.evaluation.errands import TASKS, run_errand
 from services.experiments.evaluation.plan import (
     CLOUDS_SEED,
     QUERY_SEED,
@@ -37,6 +36,7 @@ from services.experiments.evaluation.plan import (
     WorldPlan,
 )
 from services.experiments.evaluation.search import PICTURE_TICKS, finding, search
+from services.experiments.evaluation.tasks import TASKS, run_task
 from services.kit.jpeg import encode_jpeg
 from services.simulator.opening import BaseKind, open_simulation
 from services.simulator.sensors.camera import CameraSettings
@@ -333,18 +333,18 @@ class Searches(Unit):
 
 
 @dataclass(frozen=True)
-class Errand(Unit):
-    """An errand."""
+class TaskSearches(Unit):
+    """Searches of one task that needs several drives."""
 
-    errand: str
+    task: str
     runs: int
 
     def do(self, folder: Path) -> Finding:
-        """See `run_errand`."""
+        """See `run_task`."""
         del folder
         seeds = range(RUN_SEED, RUN_SEED + self.runs)
-        return run_errand(
-            self.site.world, CameraSettings(*self.site.camera), FEATURES, self.errand, seeds
+        return run_task(
+            self.site.world, CameraSettings(*self.site.camera), FEATURES, self.task, seeds
         )
 
 
@@ -361,8 +361,8 @@ def units(plan: EvaluationPlan) -> list[Unit]:
         site = Site.of(world.world, plan.camera, plan.base)
         for unit in (*_searches(site, world, plan.patience), *_recognitions(site, world)):
             add(unit)
-        for errand in TASKS if world.errands else ():
-            add(Errand(site, (), errand, RUNS))
+        for task in TASKS if world.tasks else ():
+            add(TaskSearches(site, (), task, RUNS))
     return list(found)
 
 

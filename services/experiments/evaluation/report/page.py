@@ -12,7 +12,6 @@ from schemas.episode import Outcome
 from services.experiments import html
 from services.experiments.evaluation.degradation import DEGRADATIONS
 from services.experiments.evaluation.drives import load_arrays
-from services.experiments.evaluation.errands import TASKS
 from services.experiments.evaluation.plan import (
     JUDGED_TICKS,
     QUERY_SEED,
@@ -29,6 +28,7 @@ from services.experiments.evaluation.report.figures import (
 )
 from services.experiments.evaluation.report.summary import SOON_S, WorldResults, results_of
 from services.experiments.evaluation.results import Results
+from services.experiments.evaluation.tasks import TASKS
 from services.experiments.evaluation.units import (
     Finding,
     LearnUnit,

@@ -14,7 +14,7 @@ from services.experiments.evaluation.plan import (
     Trial,
     WorldPlan,
 )
-from services.experiments.evaluation.units import Errand, Finding, Recognize, Searches, Unit
+from services.experiments.evaluation.units import Finding, Recognize, Searches, TaskSearches, Unit
 from smal.evaluation.ground_truth import Judgement
 from smal.evaluation.precision_recall import (
     PrecisionRecall,
@@ -162,12 +162,12 @@ class Success:
 
 @dataclass(frozen=True)
 class WorldResults:
-    """Results of one world: recognition, searches and errands."""
+    """Results of one world: recognition, searches and tasks."""
 
     world: WorldPlan
     recognized: list[Recognized]
     successes: list[Success]
-    errands: Mapping[str, Finding]
+    tasks: Mapping[str, Finding]
 
     @property
     def cells(self) -> dict[str, dict[str, Success]]:
@@ -204,7 +204,7 @@ class WorldResults:
         return {
             "recognition": [one.as_json(self.world.criterion.meaning) for one in self.recognized],
             "searches": [one.as_json() for one in self.successes],
-            "errands": self.errands,
+            "tasks": self.tasks,
         }
 
 
@@ -235,7 +235,7 @@ def results_of(
             for trial, found in searches.items()
             if len(found) == trial.runs
         ],
-        {unit.errand: found for unit, found in here if isinstance(unit, Errand)},
+        {unit.task: found for unit, found in here if isinstance(unit, TaskSearches)},
     )
 
 

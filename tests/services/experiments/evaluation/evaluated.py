@@ -16,12 +16,12 @@ from services.experiments.evaluation.plan import (
 )
 from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.units import (
-    Errand,
     Finding,
     LearnUnit,
     Query,
     Recognize,
     Searches,
+    TaskSearches,
     Teach,
     TeachDriver,
     Unit,
@@ -39,7 +39,7 @@ SMALL = EvaluationPlan(
     (
         WorldPlan(
             "yard", Criterion(1.0, 25.0), drives=2, queries=1, lengths=(1, 5, 20),
-            recognized=("clean", "occluded"), errands=True,
+            recognized=("clean", "occluded"), tasks=True,
             trials=(
                 *(Trial(name, drives, 8) for drives in (1, 2) for name in DRIVERS),
                 *(
@@ -80,7 +80,7 @@ def finding(unit: Unit) -> Finding:
                 "file": unit.is_example,
                 "decision_ms": [10.0, 20.0, 30.0],
             }
-        case Errand():
+        case TaskSearches():
             outcomes = ["found"] * 9 + ["timeout"]
             return {"outcomes": outcomes, "driven_m": [120.0] * 10, "taught_m": [190.0, 130.0]}
         case Recognize():

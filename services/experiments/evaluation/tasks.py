@@ -21,7 +21,7 @@ _SOUTHWARDS = -math.pi / 2.0
 
 
 @dataclass(frozen=True)
-class TaughtErrand:
+class TaughtLeg:
     """One taught drive: start, victim, name of the goal, and places on the way."""
 
     start: Pose
@@ -31,11 +31,11 @@ class TaughtErrand:
 
 
 @dataclass(frozen=True)
-class ErrandTask:
+class SeveralDrivesTask:
     """Taught drives and the goal to find after them; ``meaning`` describes the task."""
 
     meaning: str
-    taught: tuple[TaughtErrand, ...]
+    taught: tuple[TaughtLeg, ...]
     start: Pose
     goal: str
     victim: Pose
@@ -47,42 +47,42 @@ _SOUTH_WEST = Pose(0.0, -44.0, _NORTHWARDS)
 _NORTH_WEST = Pose(0.0, 44.0, _SOUTHWARDS)
 _NORTH = Pose(86.0, 53.6, 0.0)
 _SOUTH = Pose(86.0, -53.6, 0.0)
-_TO_NORTH = TaughtErrand(_WEST, _NORTH, "north")
-_TO_SOUTH = TaughtErrand(_WEST, _SOUTH, "south")
-_JOINED = (TaughtErrand(_SOUTH_WEST, _NORTH, "north"), TaughtErrand(_NORTH_WEST, _SOUTH, "south"))
+_TO_NORTH = TaughtLeg(_WEST, _NORTH, "north")
+_TO_SOUTH = TaughtLeg(_WEST, _SOUTH, "south")
+_JOINED = (TaughtLeg(_SOUTH_WEST, _NORTH, "north"), TaughtLeg(_NORTH_WEST, _SOUTH, "south"))
 # Through the far corner of the block.
 _DETOUR = replace(_TO_NORTH, via=((119.0, 0.0), (119.0, 49.0)))
 
 TASKS: Final = {
-    "shorter way": ErrandTask(
+    "shorter way": SeveralDrivesTask(
         "taught a detour, then a shorter route to the same goal", (_DETOUR, _TO_NORTH), _WEST, "north", _NORTH
     ),
-    "fork, to the left": ErrandTask(
+    "fork, to the left": SeveralDrivesTask(
         "taught two routes that fork; sent to the end of the first", (_TO_NORTH, _TO_SOUTH), _WEST, "north", _NORTH
     ),
-    "fork, to the right": ErrandTask(
+    "fork, to the right": SeveralDrivesTask(
         "taught two routes that fork; sent to the end of the second", (_TO_NORTH, _TO_SOUTH), _WEST, "south", _SOUTH
     ),
-    "joined, northwards": ErrandTask(
+    "joined, northwards": SeveralDrivesTask(
         "taught two routes that share a stretch; sent from the start of one to the end of the "
         "other",
         _JOINED, _NORTH_WEST, "north", _NORTH,
     ),
-    "joined, southwards": ErrandTask("the same in the other direction", _JOINED, _SOUTH_WEST, "south", _SOUTH),
+    "joined, southwards": SeveralDrivesTask("the same in the other direction", _JOINED, _SOUTH_WEST, "south", _SOUTH),
 }  # fmt: skip
 
 
-def run_errand(
-    world: str, camera: CameraSettings, features: FeatureSettings, errand: str, seeds: range
+def run_task(
+    world: str, camera: CameraSettings, features: FeatureSettings, name: str, seeds: range
 ) -> dict[str, Any]:
     """Teach a task and run it with each seed; return outcomes, driven and taught lengths (m)."""
-    task = TASKS[errand]
+    task = TASKS[name]
     made = []
     for number, one in enumerate(task.taught):
         there = open_simulation(world, camera, task=(one.start, one.victim))
         made.append(drive(there, features, TEACHING_SEED + number, one.via))
     model = learn([
-        replace(drive_of(each), name=f"{errand} {number}", goal=one.goal)
+        replace(drive_of(each), name=f"{name} {number}", goal=one.goal)
         for number, (each, one) in enumerate(zip(made, task.taught, strict=True))
     ])  # fmt: skip
     simulation = open_simulation(world, camera, task=(task.start, task.victim))
