@@ -49,8 +49,8 @@ export function drawFinish(state, off) {
   run.end.facts = finishFacts(run.end);
   say(card.querySelector(".facts"), run.end.facts);
   const recording = library?.recordings.find(({ episode }) => episode === run.episode);
-  report.hidden = !recording;
   if (recording) report.href = `report?${new URLSearchParams({ of: recording.name })}`;
+  else report.removeAttribute("href");
 }
 
 function finish(state) {
