@@ -375,7 +375,7 @@ def test_files_are_renamed_and_deleted(page: Page, nobody: Nobody, board: Board)
     eventually(lambda: [ask.do for ask in nobody.asked] == ["delete"])
 
 
-SMALL = """[...document.querySelectorAll("button, select, input, summary, .file")]
+SMALL = """[...document.querySelectorAll("a, button, select, input, summary, .file")]
     .filter((one) => one.checkVisibility() && !one.closest(".file input, .files label"))
     .map((one) => [one.outerHTML.slice(0, 80), one.getBoundingClientRect()])
     .filter(([, {width, height}]) => width > 0 && (width < 44 || height < 44)).map(([html]) => html)"""
@@ -463,11 +463,32 @@ def test_finish_shows_the_run_when_it_has_ended(page: Page, board: Board) -> Non
     )
     page.wait_for_selector("#report:visible")
     assert page.get_attribute("#report", "href") == "report?of=drives%2Fa.mcap"
+    page.set_viewport_size({"width": 390, "height": 844})
+    assert run_in(page, "document.documentElement.scrollWidth") == 390
+    assert run_in(page, SMALL) == []
     page.click("#close-finish")
     page.wait_for_selector("#run-form:visible")
     page.click("#last-run")
     page.wait_for_selector("#finish:visible")
     assert page.get_attribute("#steps [data-panel=run]", "aria-pressed") == "true"
+
+
+LONG_RUN = """new Promise((done) => document.querySelector("#camera canvas").toBlob(done)).then(async (picture) => {
+    const { keepPicture } = await import("/finish.js"), robot = { episode: "long", purpose: "run" };
+    for (let k = 0; k < 10_000; k++) keepPicture({ robot: { ...robot, seconds: k / 5 } }, picture);
+})"""
+
+
+def test_time_line_covers_a_long_run_in_300_pictures(page: Page, board: Board) -> None:
+    run_in(page, LONG_RUN)
+    ended = {"episode": None, "outcome": "timeout", "right": None, "seconds": 2000.0}
+    board.put("robot", RUN | ended | {"at": board.clock()})
+    page.wait_for_selector("#finish:visible")
+    assert 150 <= int(page.get_attribute("#finish input", "max")) <= 300
+    assert page.get_attribute("#finish input", "aria-valuetext") == "33 min of 33 min"
+    page.focus("#finish input")
+    page.keyboard.press("Home")
+    assert page.get_attribute("#finish input", "aria-valuetext") == "0.0 s of 33 min"
 
 
 def test_video_of_a_run_holds_camera_and_map(page: Page, board: Board, tmp_path: Path) -> None:
