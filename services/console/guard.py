@@ -101,8 +101,8 @@ def _with_headers(send: Send) -> Send:
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
-            headers.update(HEADERS)
-            headers.setdefault("Cache-Control", "no-cache")
+            for name, value in {**HEADERS, "Cache-Control": "no-cache"}.items():
+                headers.setdefault(name, value)
         await send(message)
 
     return sending

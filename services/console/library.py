@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterable
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event, Lock
 from typing import Final, NamedTuple
@@ -154,9 +154,7 @@ class Library:
         return [one for one in self.recordings() if one.episode in model.episodes]
 
     def _shown(self) -> dict[str, object]:
-        recordings = [
-            asdict(one) | {"thumbnails": len(one.thumbnails)} for one in self.recordings()
-        ]
+        recordings = [one.shown() for one in self.recordings()]
         models = [
             {
                 "name": one.name,

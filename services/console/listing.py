@@ -5,7 +5,7 @@ import multiprocessing
 import os
 import resource
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
@@ -14,7 +14,9 @@ from typing import Any, Final, cast
 
 from schemas.base import TICK_S
 from schemas.codec import printable
-from schemas.topics import APPLIED, JPEG
+from schemas.motion import Odometry, TruePose
+from schemas.topics import APPLIED, JPEG, ODOMETRY, POSE
+from services.console.driven_route import DrivenRoute
 from services.kit.jpeg import encode_jpeg, shrunk
 from services.recordings.dataset import unusable
 from services.recordings.encoding import decode_image
@@ -54,6 +56,15 @@ class ListedRecording:
     seconds: float = 0.0
     useless: str = ""  # Reason why it cannot teach; empty if it can.
     thumbnails: tuple[bytes, ...] = ()
+    # Driven path in metres, in the world's frame if the robot publishes its true poses, else by
+    # odometry, and its length by odometry.
+    path: tuple[tuple[float, float], ...] = ()
+    metres: float = 0.0
+
+    def shown(self) -> dict[str, object]:
+        """Return the entry for the page, with the number of its thumbnails and without its path."""
+        shown = {name: value for name, value in vars(self).items() if name != "path"}
+        return shown | {"thumbnails": len(self.thumbnails)}
 
 
 class Reader:
@@ -118,7 +129,7 @@ def end_after(limit_s: int) -> None:
 def read(path: Path, listed: ListedRecording) -> ListedRecording:
     """Return the entry with the content of the file."""
     try:
-        episode, *others = read_recording(path, topics=(JPEG, APPLIED)).episodes
+        episode, *others = read_recording(path, topics=(JPEG, APPLIED, ODOMETRY, POSE)).episodes
     except RecordingError as error:
         return replace(listed, useless=printable(str(error)).removeprefix(f"{path}: "))
     useless = (
@@ -130,6 +141,7 @@ def read(path: Path, listed: ListedRecording) -> ListedRecording:
         one.source == "teleop" or one.reason == "taken_over" for one in episode.applied.values()
     )
     ticks = sorted(episode.images)
+    driven = _route(episode.odometry)
     same: dict[str, Any] = {name: getattr(episode, name) for name in _SAME}
     return replace(
         listed,
@@ -137,8 +149,17 @@ def read(path: Path, listed: ListedRecording) -> ListedRecording:
         seconds=(ticks[-1] - ticks[0]) * TICK_S if ticks else 0.0,
         useless=useless or "",
         thumbnails=tuple(_thumbnails(episode, ticks)),
+        path=tuple((_route(episode.poses) if episode.poses else driven).points),
+        metres=driven.metres,
         **same,
     )
+
+
+def _route(poses: Mapping[int, Odometry] | Mapping[int, TruePose]) -> DrivenRoute:
+    route = DrivenRoute()
+    for tick in sorted(poses):
+        route.add(poses[tick].x_m, poses[tick].y_m)
+    return route
 
 
 def _thumbnails(episode: RecordedEpisode, ticks: list[int]) -> Iterator[bytes]:

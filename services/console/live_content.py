@@ -12,9 +12,10 @@ import numpy as np
 from schemas import topics
 from schemas.action import Action
 from schemas.camera import CompressedImage
-from schemas.motion import TrackedPose, TruePose
+from schemas.motion import Odometry, TrackedPose, TruePose
 from schemas.rpc import LookReply, Nothing, PlanReply, Status
 from schemas.state import State
+from services.console.driven_route import DrivenRoute
 from services.console.learned import Learned, learned_of
 from services.console.library import Library
 from services.console.newest_content import Board
@@ -30,10 +31,6 @@ from smal.files.stored import Stored
 from smal.model import Model
 
 _LOOK_S: Final = 1.0  # Polling interval of services and files.
-#: Maximum number of points of the driven path (above it, every second point is dropped), and their
-#: spacing.
-_POINTS: Final = 400
-_APART_M: Final = 0.1
 _ANSWER_S: Final = 1.0  # Timeout of a service's answer.
 #: Details of services that the page uses.
 _DETAILS: Final = (
@@ -105,15 +102,17 @@ class LiveContent:
         )
         self.learned: Learned | None = None  # The loaded model.
         self._followed: tuple[object, object] = (None, None)
-        self._way: list[tuple[float, float]] = []
+        self._way = DrivenRoute()
         self._way_of = ""
+        self._driven = DrivenRoute()  # By odometry, which every robot has.
+        self._driven_of = ""
         # World and variation of the shown ground plan: a variation moves furniture.
         self._planned: tuple[object, object] = (None, None)
         self._obstacles = ObstacleMemory()
         self._seen_s = -math.inf  # Time of the last frame.
         node.subscribe(topics.JPEG, self._on_image, depth=1)
         node.subscribe(topics.DEPTH, self._obstacles.store_depth)
-        node.subscribe(topics.ODOMETRY, self._obstacles.store_odometry)
+        node.subscribe(topics.ODOMETRY, self._on_odometry)
         node.subscribe(topics.STATE, self._on_state)
         node.subscribe(topics.POSE, self._on_pose)
         node.subscribe(topics.TRACKED, self._on_tracked)
@@ -190,18 +189,22 @@ class LiveContent:
         """Show the robot's plan."""
         self._put("plan", tick=action.tick, kind=action.kind, atoms=action.atoms[:20])
 
+    def _on_odometry(self, odometry: Odometry) -> None:
+        self._obstacles.store_odometry(odometry)
+        if odometry.episode != self._driven_of:
+            self._driven = DrivenRoute()
+            self._driven_of = odometry.episode
+        if self._driven.add(odometry.x_m, odometry.y_m):
+            metres = round(self._driven.metres, 1)
+            self._board.put("driven", {"episode": odometry.episode, "metres": metres})
+
     def _on_pose(self, pose: TruePose) -> None:
         if pose.episode != self._way_of:
-            self._way = []
+            self._way = DrivenRoute()
             self._way_of = pose.episode
-        here = (round(pose.x_m, 2), round(pose.y_m, 2))
-        if not self._way or math.dist(here, self._way[-1]) >= _APART_M:
-            self._way.append(here)
-            if len(self._way) > _POINTS:
-                del self._way[1:-1:2]
-            # Every tenth point: the page draws the rest from the robot's pose.
-            if len(self._way) % 10 == 1:
-                self._board.put("way", {"episode": pose.episode, "points": self._way})
+        # Every tenth point: the page draws the rest from the robot's pose.
+        if self._way.add(pose.x_m, pose.y_m) and len(self._way.points) % 10 == 1:
+            self._board.put("way", {"episode": pose.episode, "points": self._way.points})
         self._put("pose", episode=pose.episode, pose=_rounded(*pose.pose))
 
     def _on_tracked(self, pose: TrackedPose) -> None:

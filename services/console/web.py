@@ -11,7 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import PlainTextResponse, Response
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
@@ -21,6 +21,7 @@ from schemas.rpc import WorldName
 from services.console.browser_messages import LATE, OF_DRIVER, OF_WATCHERS, Hold, Leave, StopRequest
 from services.console.guard import MAP
 from services.console.newest_content import Board, FullError
+from services.console.report import POLICY, report_page
 from services.console.service import ConsoleService
 from services.console.who_drives import BEAT_S, LEASE_S, Seat
 from services.kit.world_files import HEAD_BYTES, largest_upload
@@ -56,6 +57,7 @@ class Web:
         return Starlette(
             routes=[
                 Route("/thumbnail", self._thumbnail),
+                Route("/report", self._report),
                 Route(MAP, self._take_upload, methods=["POST"]),
                 Route("/taught/{model}/{keyframe}", self._taught),
                 WebSocketRoute("/watch", self._watch),
@@ -74,6 +76,13 @@ class Web:
         if recording is None or number is None or number >= len(recording.thumbnails):
             return _picture(None)
         return _picture(recording.thumbnails[number])
+
+    async def _report(self, request: Request) -> Response:
+        """Return the report of a listed recording, a page that can be saved and sent as one file."""
+        recording = self._service.library.recording(request.query_params.get("of", ""))
+        if recording is None:
+            return PlainTextResponse("recording not found; it was deleted or renamed\n", 404)
+        return HTMLResponse(report_page(recording), headers={"Content-Security-Policy": POLICY})
 
     async def _taught(self, request: Request) -> Response:
         learned = self._service.live.learned

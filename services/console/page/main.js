@@ -5,6 +5,7 @@ import { drawBelief } from "./belief.js";
 import { Box } from "./box.js";
 import { Drive } from "./drive.js";
 import { $, element, say } from "./element.js";
+import { closeFinish, drawFinish, finished, keepPicture, wireFinish } from "./finish.js";
 import { drawHealth } from "./health.js";
 import { lead } from "./lead.js";
 import { drawMap } from "./map.js";
@@ -47,6 +48,7 @@ function onNews(channels) {
 }
 
 async function onPicture(blob) {
+  keepPicture(watch.state, blob);
   const image = await createImageBitmap(blob), { width, height } = image;
   if (camera.width !== width || camera.height !== height) Object.assign(camera, { width, height });
   const pen = camera.getContext("2d");
@@ -85,8 +87,10 @@ function drawLead() {
   say($("#facts"), led.facts);
   $("#camera").classList.toggle("old", led.level === "old" || Boolean(state.link));
   if (led.does[0] !== before.does[0]) changedMs = performance.now();
+  drawFinish(watch.state, state.distance);
   drawActions({ learn: state.picked > 0, run: state.usable });
-  drawPanels(details ? "more" : led.step);
+  const ends = (chosen ?? "run") === "run" && finished(watch.state);
+  drawPanels(details ? "more" : ends ? "finish" : led.step);
   $("#stop").setAttribute("aria-pressed", String(Boolean(robot?.emergency || robot?.cause === "emergency_stop")));
   if (robot?.episode && document.body.dataset.episode !== robot.episode) showNews("");
   document.body.dataset.episode = robot?.episode ?? "";
@@ -115,7 +119,7 @@ function drawActions(possible) {
 function drawPanels(shown) {
   for (const panel of panels) panel.classList.toggle("shown", panel.id === shown);
   for (const tab of tabs) {
-    tab.setAttribute("aria-pressed", String(tab.dataset.panel === shown));
+    tab.setAttribute("aria-pressed", String(tab.dataset.panel === (shown === "finish" ? "run" : shown)));
     tab.dataset.panel === led.next ? tab.setAttribute("aria-current", "step") : tab.removeAttribute("aria-current");
   }
 }
@@ -187,6 +191,7 @@ for (const button of buttons) {
     if (button.getAttribute("aria-disabled") === "true") return event.preventDefault();
     if (button.type === "button") return acts[button.dataset.does](button);
     [chosen, details] = [led.step, false];
+    closeFinish();
     drawPanels(led.step);  // the browser shows what is wrong in a field
   };
 }
@@ -194,6 +199,7 @@ for (const tab of tabs) {
   tab.onclick = () => {
     details = tab.dataset.panel === "more";
     if (!details) chosen = tab.dataset.panel;
+    if (chosen === "run") closeFinish();
     drawLead();
   };
 }
@@ -201,6 +207,10 @@ $("#enlarge").onclick = ({ target }) => {
   target.setAttribute("aria-pressed", String($("#map").classList.toggle("large")));
   onNews(["pose"]);
 };
+wireFinish(() => {
+  [chosen, details] = ["run", false];
+  drawLead();
+}, tell);
 wireTeaching((what) => drive.ask(what));
 wireWorlds(async (map, name) => {
   if (!(await drive.take())) return;

@@ -44,33 +44,26 @@ function layersOf(ground) {
   return plan.layers;
 }
 
-export function drawMap({ model, way, pose, tracked, belief, around, robot, health, goal, ground }, age) {
-  const height = canvas.clientHeight, [pen, width] = cleared(canvas, height);
-  // Drives in another world have no position in this world.
-  const other = Boolean(model?.world && robot?.world && model.world !== robot.world), elsewhere = other || teaching(robot);
-  const taught = model?.x && !elsewhere ? model.x.map((x, k) => [x, model.y[k]]) : [];
-  const today = way && pose && way.episode === pose.episode ? [...way.points, pose.pose] : pose ? [pose.pose] : [];
-  const believed = age("belief") < 2 && !elsewhere ? belief?.pose : undefined;
-  const victim = goal?.at && goal.episode === robot?.episode ? goal.at : null;
-  legend.classList.toggle("absent", !victim);
-  const all = [...taught, ...today, ...(believed ? [believed] : []), ...(victim ? [victim] : [])];
+/**
+ * Draw the ground plan, boxes, taught drives, a path and the goal, scaled to all points and `others`. Returns functions
+ * that draw more: `beside`, the pixel at an offset in pixels ahead and to the left of a pose; `trace`, a line through
+ * pixels, or its interior; `arrow`, a robot; and the scale and the pixels of the taught places. Null without a point.
+ */
+export function drawPlaces(pen, [width, height], { ground, boxes = [], taught, drives = [], path, victim, others = [] }) {
+  const all = [...taught, ...path, ...others, ...(victim ? [victim] : [])];
   // The ground plan alone shows the task; a town is far larger than a way.
   if (ground) all.push(ground.start, ground.victim);
-  $("#map").classList.toggle("nothing", all.length === 0);
-  if (all.length === 0) return;
+  if (all.length === 0) return null;
   const axes = [0, 1].map((axis) => all.map((point) => point[axis]));
   const spans = axes.map((values) => [Math.min(...values), Math.max(...values)]);
   const [middleX, middleY] = spans.map(([low, high]) => (low + high) / 2);
   const room = [width, height].map((pixels) => pixels - 2 * MARGIN);
   const scale = Math.min(...spans.map(([low, high], axis) => room[axis] / Math.max(high - low, LEAST_M)));
   const at = ([x, y]) => [width / 2 + (x - middleX) * scale, height / 2 - (y - middleY) * scale];
-  /** Pixel at an offset in pixels, ahead and to the left of a pose. */
   const beside = ([x, y, heading], [ahead, left]) => {
     const [px, py] = at([x, y]), [cos, sin] = [Math.cos(heading), Math.sin(heading)];
     return [px + cos * ahead - sin * left, py - sin * ahead - cos * left];
   };
-
-  /** Draw a line through pixels, or fill its interior. */
   const trace = (pixels, shade, thickness, { closed = false, filled = false } = {}) => {
     const path = new Path2D();
     pixels.forEach((pixel, k) => path[k ? "lineTo" : "moveTo"](...pixel));
@@ -78,6 +71,8 @@ export function drawMap({ model, way, pose, tracked, belief, around, robot, heal
     Object.assign(pen, { strokeStyle: color(shade), fillStyle: color(shade), lineWidth: thickness, lineJoin: "round" });
     filled ? pen.fill(path) : pen.stroke(path);
   };
+  const arrow = (pose, shade, filled) =>
+    trace(ARROW_PX.map((corner) => beside(pose, corner)), shade, 2, { closed: true, filled });
   pen.save();
   pen.translate(...at([0, 0]));
   pen.scale(scale, -scale);
@@ -86,23 +81,43 @@ export function drawMap({ model, way, pose, tracked, belief, around, robot, heal
     filled ? pen.fill(path) : pen.stroke(path);
   }
   pen.restore();
-  for (const box of (goal?.episode === pose?.episode && goal?.boxes) || []) trace(box.map(at), "box", 1, { filled: true });
-  const arrow = (pose, shade, filled) =>
-    trace(ARROW_PX.map((corner) => beside(pose, corner)), shade, 2, { closed: true, filled });
-
-  shown = { model, places: taught.map(at) };
-  for (const drive of new Set(taught.length > 0 ? model.drives : [])) {
-    const points = taught.filter((_, k) => model.drives[k] === drive).map(at);
+  for (const box of boxes) trace(box.map(at), "box", 1, { filled: true });
+  for (const drive of new Set(taught.length > 0 ? drives : [])) {
+    const points = taught.filter((_, k) => drives[k] === drive).map(at);
     trace(points, "taught", 3);
     pen.beginPath();
     pen.arc(...points.at(-1), 6, 0, 7);
     pen.fill();
   }
-  trace(today.map(at), "way", 2);
+  trace(path.map(at), "way", 2);
   if (victim) {
     const [x, y] = at(victim);
     for (const rise of [-CROSS_PX, CROSS_PX]) trace([[x - CROSS_PX, y - rise], [x + CROSS_PX, y + rise]], "bad", 3);
   }
+  return { scale, beside, trace, arrow, places: taught.map(at) };
+}
+
+/** Places of an episode for `drawPlaces`, without its path; drives in another world have no position in this world. */
+export function placesOf({ model, robot, goal, ground }, episode) {
+  const elsewhere = Boolean(model?.world && robot?.world && model.world !== robot.world) || teaching(robot);
+  const { at = null, boxes = [] } = goal && goal.episode === episode ? goal : {};
+  const taught = model?.x && !elsewhere ? model.x.map((x, k) => [x, model.y[k]]) : [];
+  return { ground, taught, drives: model?.drives, victim: at, boxes };
+}
+
+export function drawMap(state, age) {
+  const { model, way, pose, tracked, belief, around, robot, health } = state;
+  const height = canvas.clientHeight, [pen, width] = cleared(canvas, height);
+  const today = way && pose && way.episode === pose.episode ? [...way.points, pose.pose] : pose ? [pose.pose] : [];
+  const places = placesOf(state, pose?.episode);
+  if (!robot?.episode) places.victim = null;
+  const believed = age("belief") < 2 && places.taught.length > 0 ? belief?.pose : undefined;
+  legend.classList.toggle("absent", !places.victim);
+  const drawn = drawPlaces(pen, [width, height], { ...places, path: today, others: believed ? [believed] : [] });
+  $("#map").classList.toggle("nothing", !drawn);
+  if (!drawn) return;
+  const { scale, beside, trace, arrow } = drawn;
+  shown = { model, places: drawn.places };
   const here = pose && age("pose") < 5 ? pose.pose : believed;
   pen.fillStyle = color("bad");
   const there = (metres) => beside(here, metres.map((one) => one * scale));

@@ -83,6 +83,12 @@ export function beliefFacts(belief, age) {
   return status === "recognized" ? "The page reads the model …" : "The robot has not recognized a taught place yet.";
 }
 
+/** Numbers of a finished run: `metres` driven, `s` seconds, and `off` metres to the goal, if known. */
+export function finishFacts({ metres, s, off }) {
+  const driven = metres === null ? "" : `${metres.toFixed(1)} m driven`, took = s === null ? "" : `in ${seconds(s)}`;
+  return [`${driven} ${took}`.trim(), off === null ? "" : `${off.toFixed(1)} m from the goal`].filter(Boolean).join(", ");
+}
+
 /** Rows of the plan: action, commands, remaining time, target. */
 export function planFacts(plan, belief, goal) {
   const cost = belief.cost === null ? "no way to the goal" : `${belief.cost?.toFixed(0)} s to ${goal}`;

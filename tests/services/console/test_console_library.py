@@ -1,6 +1,7 @@
 """The list of recordings and models, whose names and files are untrusted; a belief on its map."""
 
 import multiprocessing
+import re
 import signal
 from collections.abc import Callable
 from contextlib import closing
@@ -19,6 +20,7 @@ from schemas.state import State
 from services.console.learned import learned_of
 from services.console.library import Library
 from services.console.listing import ListedRecording, Reader, end_after
+from services.console.report import report_page
 from services.kit.model_service import identity_of
 from services.kit.node import Node, ServiceError
 from services.kit.settings import ServiceSettings
@@ -27,7 +29,7 @@ from services.recordings.records import MAGIC
 from tests import corridor
 from tests.places import places
 from tests.services.conftest import RunNode
-from tests.services.console.conftest import Console
+from tests.services.console.conftest import Console, Nobody
 from tests.services.console.page import Page
 from tests.services.recordings import recorded_messages, test_recorder_files
 from tests.services.recordings.recorded_messages import header
@@ -59,6 +61,26 @@ def test_library_lists_outcome_length_and_pictures(
     assert shown["seconds"] == pytest.approx(1.1)
     (recording,) = library.recordings()
     assert all(picture.startswith(b"\xff\xd8") for picture in recording.thumbnails)
+
+
+def test_report_of_a_drive_is_one_file(library: Library, nobody: Nobody, page: Page) -> None:
+    library.look()
+    nobody.library = library
+    status, report = page.get("/report?of=drives/drive-1.mcap")
+    assert status == 200
+    for text in ("Drive to victim", "<dd>found</dd>", "<dd>1 s</dd>", "drive-1", "<polyline"):
+        assert text in report.decode()
+    (recording,) = library.recordings()
+    assert f"<dd>{recording.metres:.1f} m</dd>" in report.decode()
+    assert recording.metres > 0.0
+    assert report.count(b"data:image/jpeg;base64,") == 6
+    assert re.findall(rb'(?:src|href)="(?!data:)', report) == []
+    assert page.get("/report?of=drives/other.mcap")[0] == 404
+
+
+def test_report_escapes_text_of_a_recording() -> None:
+    listed = ListedRecording("drives/a.mcap", 1.0, 5, goal="<script>alert(1)</script>")
+    assert "<script" not in report_page(listed)
 
 
 def work_for_ever() -> None:

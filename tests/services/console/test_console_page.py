@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -374,7 +375,7 @@ def test_files_are_renamed_and_deleted(page: Page, nobody: Nobody, board: Board)
     eventually(lambda: [ask.do for ask in nobody.asked] == ["delete"])
 
 
-SMALL = """[...document.querySelectorAll("button, select, input, summary, .file")]
+SMALL = """[...document.querySelectorAll("a, button, select, input, summary, .file")]
     .filter((one) => one.checkVisibility() && !one.closest(".file input, .files label"))
     .map((one) => [one.outerHTML.slice(0, 80), one.getBoundingClientRect()])
     .filter(([, {width, height}]) => width > 0 && (width < 44 || height < 44)).map(([html]) => html)"""
@@ -418,3 +419,93 @@ def test_page_warns_when_the_model_is_of_another_world(page: Page, board: Board)
     assert page.inner_text("#elsewhere") == ""
     page.select_option("#run-form [name=model]", "models/campus.smal")
     assert page.inner_text("#elsewhere").startswith("campus was taught in campus")
+
+
+RUN = DRIVE | {"purpose": "run", "driver": "policy", "source": "policy"}
+GREY = "document.querySelector('{} canvas').getContext('2d').getImageData(9, 9, 1, 1).data[0]"
+
+
+def run_and_find(page: Page, board: Board, moments: int = 8) -> None:
+    """Show a run of one metre and half a second a moment; the camera turns from black to white."""
+    place = {"episode": "run-1", "pose": [0.0, 0.0, 0.0]}
+    board.put("goal", {"episode": "run-1", "at": [float(moments), 0.0], "boxes": []})
+    for k in range(moments):
+        now = {"at": board.clock()}
+        board.put("robot", RUN | now | {"episode": "run-1", "seconds": k / 2})
+        board.put("pose", place | now | {"pose": [float(k), 0.0, 0.0]})
+        board.put("driven", {"episode": "run-1", "metres": float(k)})
+        eventually(lambda s=k / 2: page.inner_text("#facts") == f"{s:.1f} s")
+        grey = 255 * k // (moments - 1)
+        board.show(encode_jpeg(np.full((48, 64, 3), grey, np.uint8)))
+        eventually(lambda grey=grey: abs(run_in(page, GREY.format("#camera")) - grey) < 4)
+    ended = {"episode": None, "outcome": "found", "right": None, "seconds": moments / 2}
+    board.put("robot", RUN | ended | {"at": board.clock()})
+    page.wait_for_selector("#finish:visible")
+
+
+def test_finish_shows_the_run_when_it_has_ended(page: Page, board: Board) -> None:
+    run_and_find(page, board)
+    assert page.inner_text("#finish-title") == "Found"
+    assert page.inner_text("#finish .facts") == "7.0 m driven in 4.0 s, 1.0 m from the goal"
+    assert page.locator("#finish .film img").count() == 6
+    eventually(lambda: run_in(page, GREY.format("#finish")) > 250)
+    route = "document.querySelectorAll('#finish canvas')[1].toDataURL()"
+    before = run_in(page, route)
+    page.focus("#finish input")
+    page.keyboard.press("Home")
+    eventually(lambda: run_in(page, GREY.format("#finish")) < 5)
+    assert run_in(page, route) != before
+    assert page.get_attribute("#finish input", "aria-valuetext") == "0.0 s of 3.5 s"
+    assert page.is_hidden("#report")
+    board.put(
+        "library",
+        {"folder": "drives", "models": [], "recordings": [recording("a") | {"episode": "run-1"}]},
+    )
+    page.wait_for_selector("#report:visible")
+    assert page.get_attribute("#report", "href") == "report?of=drives%2Fa.mcap"
+    page.set_viewport_size({"width": 390, "height": 844})
+    assert run_in(page, "document.documentElement.scrollWidth") == 390
+    assert run_in(page, SMALL) == []
+    page.click("#close-finish")
+    page.wait_for_selector("#run-form:visible")
+    page.click("#last-run")
+    page.wait_for_selector("#finish:visible")
+    assert page.get_attribute("#steps [data-panel=run]", "aria-pressed") == "true"
+
+
+LONG_RUN = """new Promise((done) => document.querySelector("#camera canvas").toBlob(done)).then(async (picture) => {
+    const { keepPicture } = await import("/finish.js"), robot = { episode: "long", purpose: "run" };
+    for (let k = 0; k < 10_000; k++) keepPicture({ robot: { ...robot, seconds: k / 5 } }, picture);
+})"""
+
+
+def test_time_line_covers_a_long_run_in_300_pictures(page: Page, board: Board) -> None:
+    run_in(page, LONG_RUN)
+    ended = {"episode": None, "outcome": "timeout", "right": None, "seconds": 2000.0}
+    board.put("robot", RUN | ended | {"at": board.clock()})
+    page.wait_for_selector("#finish:visible")
+    assert 150 <= int(page.get_attribute("#finish input", "max")) <= 300
+    assert page.get_attribute("#finish input", "aria-valuetext") == "33 min of 33 min"
+    page.focus("#finish input")
+    page.keyboard.press("Home")
+    assert page.get_attribute("#finish input", "aria-valuetext") == "0.0 s of 33 min"
+
+
+def test_video_of_a_run_holds_camera_and_map(page: Page, board: Board, tmp_path: Path) -> None:
+    run_and_find(page, board)
+    with page.expect_download() as download:
+        page.click("#save-video")
+    assert download.value.suggested_filename.startswith("run-1.")
+    file = tmp_path / download.value.suggested_filename
+    download.value.save_as(file)
+    video = cv2.VideoCapture(str(file))
+    frames = []
+    while (read := video.read())[0]:
+        frames.append(read[1])
+    assert frames[0].shape == (528, 1280, 3)
+    # The camera on the left turns from black to white; on the right the robot moves on the map.
+    grey = [frame[200:280, 280:360].mean() for frame in frames]
+    assert grey[0] < 20
+    assert grey[-1] > 235
+    assert np.abs(frames[0][:480, 640:].astype(int) - frames[-1][:480, 640:]).max() > 50
+    page.wait_for_selector("#save-video:text-is('Save as video')")

@@ -65,6 +65,12 @@ def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
     eventually(lambda: not was_lost(page, site) and data(page, "episode") == "", timeout_s=120.0)
     assert re.fullmatch(r"Found: \d\.\d m, [\d.]+ (s|min)", told(page))
     assert run_in(page, "document.querySelector('#belief img').naturalWidth") == 160
+    facts = r"[\d.]+ m driven in [\d.]+ (s|min), \d\.\d m from the goal"
+    assert re.fullmatch(facts, page.inner_text("#finish .facts"))
+    with page.context.expect_page() as opened_page:
+        page.click("#report")
+    assert "Run to victim" in opened_page.value.inner_text("h1")
+    assert opened_page.value.locator("svg polyline").count() == 1
 
 
 def test_map_becomes_a_world_when_it_is_dropped(page: Page, site: Site) -> None:
