@@ -48,7 +48,7 @@ def recorded(folder: Path, many: int, new: float = 0.6, **size: int) -> Path:
 
 @pytest.fixture
 def runs(tmp_path: Path) -> Path:
-    return recorded(tmp_path / "runs", 4)
+    return recorded(tmp_path / "runs", 6)
 
 
 def test_a_model_learns_from_runs_and_goes_back(runs: Path, tmp_path: Path, smal: Smal) -> None:
@@ -209,7 +209,7 @@ def test_model_is_absent_when_the_disk_is_full(tmp_path: Path) -> None:
 
 
 def test_model_stays_when_the_disk_is_full_for_its_copy(tmp_path: Path) -> None:
-    drives = recorded(tmp_path / "runs", 4)
+    drives = recorded(tmp_path / "runs", 6)
     model = corridor.save_model(tmp_path / "way.smal")
     before = model.read_bytes()
     status, lines = limited(len(before), "learn", drives, "--add", "--out", model)
