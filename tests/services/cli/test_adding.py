@@ -63,7 +63,7 @@ def test_a_model_learns_from_runs_and_goes_back(runs: Path, tmp_path: Path, smal
     assert "map extended with new view variants" in err
     assert "is left out" not in err, "each file is read once"
     said = json.loads(report.read_text())
-    assert (said["taken"], said["runs"], said["judged_by"]) == (True, 4, 2)
+    assert (said["taken"], said["runs"], said["judged_by"]) == (True, 6, 3)
     assert len(Model.load(file).mapped.variants) == said["view_variants"] > 0
     assert [one.read_bytes() for one in versions(file)] == [before]
     status, out, _ = smal("model", "back", file)
