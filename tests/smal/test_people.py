@@ -31,7 +31,7 @@ def test_corrected_mistake_is_not_repeated(mistake: str) -> None:
     found, centering = taught(Room(), wrong, scene=SCENE)
     planner = Planner(found)
     pose = driven(
-        Filter(found, centering), planner, Room(), START, round(1.2 * len(straight.poses))
+        Filter(found, centering), planner, Room(), START, round(1.4 * len(straight.poses))
     )
     assert planner.said
     assert math.hypot(*(pose - straight.poses[-1])[:2]) < 0.25
