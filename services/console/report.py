@@ -5,9 +5,10 @@ import time
 from functools import cache
 from typing import Final, NamedTuple
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from jinja2 import Template
 
 from services.console.listing import ListedRecording
+from services.kit.templates import template_environment
 from services.kit.version import program_version
 
 #: The page contains its style and its pictures, and no script.
@@ -65,11 +66,4 @@ def _map(path: tuple[tuple[float, float], ...]) -> _Map | None:
 
 @cache
 def _template() -> Template:
-    environment = Environment(
-        loader=PackageLoader("services.console"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("report.html")
+    return template_environment("services.console").get_template("report.html")

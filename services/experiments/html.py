@@ -13,11 +13,12 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 
 from services.experiments.colours import PAGE_COLOURS
 from services.experiments.words import counted
 from services.kit.jpeg import encode_jpeg, shrunk
+from services.kit.templates import template_environment
 from services.kit.version import program_version
 from smal.files.container import write_whole
 
@@ -80,13 +81,7 @@ def _saved(figure: "Figure", **how: Any) -> bytes:  # noqa: ANN401
 
 @cache
 def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("services.experiments"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = template_environment("services.experiments")
     environment.filters |= {"png_url": _png_url, "photo_url": _photo_url}
     environment.globals |= {"counted": counted, "colours": PAGE_COLOURS}
     return environment
