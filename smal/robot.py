@@ -20,6 +20,7 @@ from smal.map import beside, way_from
 from smal.model import Model
 from smal.movement import (
     BY_ATOMS,
+    BY_CAMERA,
     BY_ODOMETRY,
     STANDS,
     STILL,
@@ -35,6 +36,7 @@ from smal.particles import FILTER_CONFIG, FilterConfig
 from smal.planning import Decision, Planner, Said
 from smal.target.appearance import TARGET_CONFIG
 from smal.target.detector import TargetDetector, TargetEstimate
+from smal.visual_compass import picture_of, shift_between
 
 NO_GROUND = (
     "the model has no ground, so that unexpected ground cannot be detected; learn the model again"
@@ -109,6 +111,7 @@ class Localizer:
         self._map = mapped = model.mapped
         #: Features that the model was learned on.
         self.features = model.feature_settings
+        self._centering = model.centering
         self._ground = model.ground
         self._filter = Filter(mapped, model.centering, seed, config)
         self._pitch = CameraPitch(mapped, model.centering)
@@ -128,6 +131,7 @@ class Localizer:
         self._filter.reset(belief)
         self._pitch.reset(0.0 if belief is None else belief.pitch_deg)
         self._pose = pose if self._map.odometry else None
+        self._last_picture: Float32s | None = None
         self._since_near = math.inf
         self._time_s = 0.0
         self._unexpected_s = 0.0
@@ -282,6 +286,12 @@ class Localizer:
             noise = BY_ODOMETRY
         elif executed:
             movement = self._usual_movement(executed, elapsed_s)
+        picture = self._compass_picture(raw_features)
+        if picture is not None and self._last_picture is not None:
+            shift = shift_between(self._last_picture, picture)
+            if shift is not None:
+                movement = replace(movement, turn_rad=shift * self._map.field_rad)
+                noise = BY_CAMERA
         belief = self._filter.observe(raw_features, movement, noise)
         if noise is BY_ODOMETRY and _drives_ahead(executed):
             belief = replace(belief, moved=movement.ahead)
@@ -291,9 +301,17 @@ class Localizer:
         self._step_s = self._map.tick_s if elapsed_s is None else elapsed_s
         self._time_s += self._step_s
         # Only now: a rejected frame must not change the state.
+        self._last_picture = picture
         if odometry is not None or executed:
             self._pose = odometry
         return belief
+
+    def _compass_picture(self, raw_features: AnyArray) -> Float32s | None:
+        """Return the picture for the visual compass, which a robot without odometry needs; None without colour."""
+        usable = raw_features.ndim == 1 and "color" in self.features.modalities
+        if self._map.odometry or not usable:
+            return None
+        return picture_of(self._centering.apply(raw_features), self.features)
 
     def _usual_movement(
         self, executed: Sequence[Atom | Motion], elapsed_s: float | None
