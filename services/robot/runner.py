@@ -14,6 +14,7 @@ from schemas.heartbeat import Heartbeat, Pulse
 from schemas.rpc import (
     ArmRequest,
     CancelRequest,
+    CarryRequest,
     EndRequest,
     Mode,
     ResetReply,
@@ -24,7 +25,7 @@ from services.kit.cameras import camera_info
 from services.kit.jpeg import decode_jpeg, encode_jpeg, jpeg_size
 from services.kit.node import ServiceError
 from services.robot import radio
-from services.robot.body import Body, OdometryReading, View
+from services.robot.body import Body, Carriable, OdometryReading, View
 from services.robot.cancelling import CancelledError, Cancelling
 from services.robot.clock import CLOCKS, Clocks
 from services.robot.episode import Ended, RunningEpisode
@@ -186,6 +187,26 @@ class EpisodeRunner(Generic[V]):
         )
         return reply, messages
 
+    def carry(self, request: CarryRequest) -> None:
+        """Carry a simulated robot elsewhere.
+
+        Raises
+        ------
+        ServiceError
+            For another body, during a drive, if an operator denies it, or if the place is not free.
+        """
+        if not isinstance(self.body, Carriable):
+            raise ServiceError(
+                f"{self.body.name}: unsupported; only a simulated robot can be carried"
+            )
+        self._unless(self.gate.not_theirs(request.session))
+        run = self.running
+        if run is not None and run.request.purpose != "run":
+            raise ServiceError("not carried: this drive would teach a wrong way; end it first")
+        self.body.carry(request.x_m, request.y_m, request.heading_rad)
+        if run is not None:
+            run.carried = True
+
     def cancel(self, request: CancelRequest) -> None:
         """Cancel an episode that is beginning; thread-safe, ServiceError if idle or denied."""
         self._cancelling.cancel(request.session, self.gate.operator)
@@ -313,6 +334,9 @@ class EpisodeRunner(Generic[V]):
         if view.imu is not None:
             yield imu_message(header, view.imu)
         yield from run.frame
+        if run.carried or (tick and tick == run.request.kidnap_tick):
+            run.carried = False
+            yield self._event(run, "kidnapped")
         if run.episode.reached and not run.found:
             run.found = True
             yield self._event(run, "victim_found")

@@ -7,6 +7,7 @@ import pytest
 
 from schemas.base import KEYS, Message, Velocity
 from schemas.rpc import ResetRequest
+from services.kit.node import ServiceError
 from services.robot.loop import PERIOD_S
 from services.simulator.base import KinematicBase
 from services.simulator.body import WATCHDOG_S, SimulatedBody
@@ -15,6 +16,7 @@ from services.simulator.sensors.camera import FOCAL, depth_message
 from services.simulator.sensors.depth import measured
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
+from services.simulator.world.route import plan_route
 from smal.obstacles.clearance import Mount
 from tests.services.robot.line import Clock
 from tests.services.simulator.simulator_driving import StubCamera
@@ -92,6 +94,29 @@ def test_body_starts_as_asked_and_is_kidnapped_on_request() -> None:
     moved = carried.look(2).pose
     assert math.hypot(moved.x - before[0], moved.y - before[1]) > 1.0
     assert carried.look(3).pose == moved, "once"
+
+
+def test_robot_is_carried_only_to_free_places() -> None:
+    body = body_of(Clock(), "lockstep")
+    body.advance(KEYS["forward"], 0.5)
+    wheels = body.look(1).odometry
+    victim = YARD.victim
+    x, y = plan_route(YARD, start_of(body))[-2]
+    body.carry(float(x), float(y), 1.5)
+    assert body.pose == (float(x), float(y), 1.5)
+    assert body.look(2).odometry[:3] == wheels[:3]
+    wall = YARD.place.solids[0].shape.representative_point()
+    for there, why in (
+        ((wall.x, wall.y), "no room for the robot"),
+        ((1e4, 0.0), "outside of yard"),
+    ):
+        with pytest.raises(ServiceError, match=why):
+            body.carry(*there, 0.0)
+    assert body.pose == (float(x), float(y), 1.5), "it stays where it was"
+    here = body.begin(ResetRequest(seed=2, start="here"))
+    assert body.pose == (float(x), float(y), 1.5)
+    assert here.route[0] == (float(x), float(y))
+    assert here.route[-1] == (victim.x, victim.y)
 
 
 def test_depth_is_told_in_millimetres_with_how_its_camera_sits() -> None:
