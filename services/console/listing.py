@@ -52,6 +52,7 @@ class ListedRecording:
     outcome: str | None = None
     # Whether a person took over during a run, which makes the run a lesson.
     corrected: bool = False
+    kidnapped: int = 0  # How often the robot was moved elsewhere.
     frames: int = 0
     seconds: float = 0.0
     useless: str = ""  # Reason why it cannot teach; empty if it can.
@@ -146,6 +147,7 @@ def read(path: Path, listed: ListedRecording) -> ListedRecording:
     return replace(
         listed,
         corrected=episode.purpose == "run" and by_hand,
+        kidnapped=len(episode.kidnapped),
         seconds=(ticks[-1] - ticks[0]) * TICK_S if ticks else 0.0,
         useless=useless or "",
         thumbnails=tuple(_thumbnails(episode, ticks)),
