@@ -16,6 +16,7 @@ from schemas.action import Action
 from schemas.base import Velocity
 from schemas.codec import printable
 from schemas.rpc import (
+    CarryRequest,
     LoadReply,
     LoadRequest,
     Nothing,
@@ -28,6 +29,7 @@ from services.console.browser_messages import (
     LATE,
     Add,
     Ask,
+    Carry,
     Delete,
     DriveRequest,
     End,
@@ -180,6 +182,9 @@ class ConsoleService:
                 self._drive(ask)
             case Run():
                 self._run(ask)
+            case Carry():
+                pose = CarryRequest(x_m=ask.x_m, y_m=ask.y_m, heading_rad=ask.heading_rad)
+                self._operator.carry(pose, self.live.peek)
             case LearnRequest() | Add():
                 self._learn(ask)
             case Delete():

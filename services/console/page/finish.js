@@ -54,10 +54,10 @@ export function drawFinish(state, off) {
 }
 
 function finish(state) {
-  const { outcome, seconds: s } = state.robot;
+  const { outcome, seconds: s, kidnapped } = state.robot;
   if (run.moments.at(-1) !== run.latest) run.moments.push(run.latest);
   const title = OUTCOMES[outcome][0].toUpperCase() + OUTCOMES[outcome].slice(1);
-  run.end = { s, title, metres: null, off: null, places: placesOf(state, run.episode) };
+  run.end = { s, title, kidnapped, metres: null, off: null, places: placesOf(state, run.episode) };
   run.path = run.moments.map(({ here }) => here).filter(Boolean);
   say($("#finish-title"), title);
   bar.max = run.moments.length - 1;

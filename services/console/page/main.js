@@ -3,15 +3,16 @@
 import { drawAhead } from "./ahead.js";
 import { drawBelief } from "./belief.js";
 import { Box } from "./box.js";
+import { wireCarry } from "./carry.js";
 import { Drive } from "./drive.js";
 import { $, element, say } from "./element.js";
 import { closeFinish, drawFinish, finished, keepPicture, wireFinish } from "./finish.js";
 import { drawHealth } from "./health.js";
 import { lead } from "./lead.js";
-import { drawMap } from "./map.js";
-import { drawJob, drawLibrary, inWorld, known, really, wireTeaching } from "./teach.js";
+import { drawMap, showPlace } from "./map.js";
+import { drawJob, drawLibrary, inWorld, known, really, startHere, wireTeaching } from "./teach.js";
 import { Watch } from "./watch.js";
-import { LABELS, episodeFacts, illness, seconds } from "./words.js";
+import { LABELS, episodeFacts, illness, seconds, teaching } from "./words.js";
 import { drawWorlds, opening, showNews, wireWorlds } from "./world.js";
 
 const OLD_S = 2, NO_WORD_S = 3, MOST_LINES = 50, LATEST_MS = 6000, NEW_MS = 500;
@@ -32,6 +33,7 @@ const draws = {
     drawWorlds(told("robot"));
     inWorld(told("robot").world ?? null);
     const { disk } = told("recorder");
+    $("#carry-hint").classList.toggle("absent", !told("robot").worlds);
     say($("#disk"), disk ? `Recording: ${disk}` : "");
     $("#disk").hidden = !disk;
   },
@@ -42,8 +44,8 @@ function onNews(channels) {
   for (const channel of channels) draws[channel]?.(watch.state[channel]);
   drawLead();
   if (channels.some((one) => ["belief", "plan", "model"].includes(one))) drawBelief(watch.state, watch.age("belief"));
-  if (channels.some((one) => ["pose", "way", "model", "belief", "tracked", "goal", "ground"].includes(one))) {
-    drawMap(watch.state, (channel) => watch.age(channel));
+  if (channels.some((one) => ["pose", "way", "model", "belief", "tracked", "goal", "ground", "stands"].includes(one))) {
+    drawMap(watch.state, (channel) => watch.age(channel), Boolean(told("robot").worlds) && !teaching(watch.state.robot));
   }
 }
 
@@ -92,7 +94,10 @@ function drawLead() {
   const ends = (chosen ?? "run") === "run" && finished(watch.state);
   drawPanels(details ? "more" : ends ? "finish" : led.step);
   $("#stop").setAttribute("aria-pressed", String(Boolean(robot?.emergency || robot?.cause === "emergency_stop")));
-  if (robot?.episode && document.body.dataset.episode !== robot.episode) showNews("");
+  if (robot?.episode && document.body.dataset.episode !== robot.episode) {
+    showNews("");
+    startHere(false);
+  }
   document.body.dataset.episode = robot?.episode ?? "";
   say($("#episode"), episodeFacts(robot));
   drawCameraAge(Boolean(robot?.episode));
@@ -212,6 +217,15 @@ wireFinish(() => {
   drawLead();
 }, tell);
 wireTeaching((what) => drive.ask(what));
+wireCarry({
+  carry: (pose) => {
+    drive.ask({ do: "carry", ...pose });
+    if (!watch.state.robot?.episode) startHere(true);
+  },
+  redraw: () => onNews(["pose"]),
+  click: showPlace,
+  tell,
+});
 wireWorlds(async (map, name) => {
   if (!(await drive.take())) return;
   tell(`Sending ${map.name} …`);

@@ -25,6 +25,12 @@ export function wireTeaching(ask) {
   $("#world-form").addEventListener("change", () => (fillModels(), warn()));
 }
 
+/** Let the next run start where the robot stands, or else near the world's start again. */
+export function startHere(is) {
+  const { start } = run.elements;
+  if (is || start.value === "here") start.value = is ? "here" : "start";
+}
+
 /** Delete or rename a file; the first press asks. A browser dialog would block the emergency stop. */
 function manage(button, ask) {
   const { file, does } = button.dataset;

@@ -360,6 +360,66 @@ def test_run_has_the_options_that_were_chosen(page: Page, nobody: Nobody, board:
     assert (run.victim, run.obstacles, run.people, run.kidnap_tick) == ("moved", 2, 5, 100)
 
 
+def show_robot(board: Board) -> None:
+    """Have a simulated robot stand in its world, 10 m wide."""
+    tell_robot(board, world="yard", worlds="yard", variation="day", variations="day")
+    plan = PlanReply(world="yard", start=(0.0, 0.0), victim=(10.0, 0.0), shapes=())
+    board.put("ground", plan.model_dump())
+    board.put("stands", {"pose": [5.0, 0.0, 0.0], "at": board.clock()})
+
+
+def test_robot_is_carried_when_a_person_drags_it(page: Page, nobody: Nobody, board: Board) -> None:
+    show_robot(board)
+    page.wait_for_selector("#carry:visible")
+    page.click("#enlarge")
+
+    def drag(right: float, up: float) -> Any:
+        board.put("stands", {"pose": [5.0, 0.0, 0.0], "at": board.clock()})
+        box = page.locator("#carry").bounding_box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        page.mouse.move(x, y)
+        page.mouse.down()
+        for share in (0.2, 0.4, 0.6, 0.8, 1.0):
+            page.mouse.move(x + share * right, y - share * up)
+        page.mouse.up()
+        return eventually(lambda: nobody.asked.pop() if nobody.asked else None)
+
+    ahead, up = drag(100.0, 0.0), drag(0.0, 100.0)
+    # The map shows 10 m between its margins of 18 pixels, and the robot faces where it was pulled.
+    metres = 100.0 * 10.0 / (page.locator("#map canvas").bounding_box()["width"] - 36.0)
+    assert (ahead.x_m, ahead.y_m, ahead.heading_rad) == pytest.approx(
+        (5.0 + metres, 0.0, 0.0), abs=0.05
+    )
+    assert (up.x_m, up.y_m, up.heading_rad) == pytest.approx((5.0, metres, 1.5), abs=0.15)
+    page.click("#steps [data-panel=run]")
+    assert page.input_value("#run-form [name=start]") == "here"
+    board.put("robot", DRIVE | {"at": board.clock()})
+    page.wait_for_selector(
+        "#carry", state="hidden"
+    )  # not in a drive, which would teach a wrong way
+
+
+def test_robot_is_carried_by_keys_unless_escape_is_pressed(
+    page: Page, nobody: Nobody, board: Board
+) -> None:
+    show_robot(board)
+    page.wait_for_selector("#carry:visible")
+    page.focus("#carry")
+    for last in ("Escape", "Enter"):
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#carried:has-text('Escape cancels')")
+        for _ in range(10):
+            page.keyboard.press("ArrowRight")
+        page.keyboard.press(last)
+        page.wait_for_selector("#carried", state="hidden")
+    (asked,) = eventually(lambda: nobody.asked)
+    assert asked.do == "carry"
+    assert asked.x_m > 5.5
+    assert nobody.stops == 0
+    page.keyboard.press("Escape")
+    eventually(lambda: nobody.stops)
+
+
 def test_files_are_renamed_and_deleted(page: Page, nobody: Nobody, board: Board) -> None:
     tell_models(board, **{"models/way.smal": ["victim"]})
     page.click("#steps [data-panel=run]")

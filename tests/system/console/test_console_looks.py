@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -11,6 +12,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from services.robot.loop import STAND_WITHIN_S
+from services.simulator.world import load_world
+from services.simulator.world.route import plan_route
 from tests.services.waiting import eventually
 from tests.system.console.console_site import Site, act, data, hold, insist, run_in, show
 
@@ -94,6 +97,29 @@ def test_axe_core_finds_no_violation(page: Page, site: Site) -> None:
     wrong = violations("run", sizes={390: SIZES[390]})
     assert len(wrong) == 2
     assert all(one == ["color-contrast: #seat"] for one in wrong.values())
+
+
+@pytest.mark.usefixtures("taught_here")
+def test_run_is_kidnapped_when_a_person_moves_the_robot(page: Page, site: Site) -> None:
+    begin_a_run(page, site)
+    before = site.poses[-1]
+    route = plan_route(load_world(site.root / "worlds" / "near.json"), (before.x_m, before.y_m))
+    east, north = route[1] - route[0]
+    if abs(east) > abs(north):
+        key = "ArrowRight" if east > 0 else "ArrowLeft"
+    else:
+        key = "ArrowUp" if north > 0 else "ArrowDown"
+    page.focus("#carry")
+    page.keyboard.press("Enter")
+    for _ in range(5):
+        page.keyboard.press(key)
+    page.keyboard.press("Enter")
+    eventually(lambda: "kidnapped" in page.text_content("#news"))
+    here = next(one for one in reversed(site.poses) if one.tick > before.tick)
+    assert math.hypot(here.x_m - before.x_m, here.y_m - before.y_m) > 0.5
+    act(page, "End the run")
+    act(page, "Really end?")
+    page.wait_for_selector("#finish .facts:has-text('kidnapped')")
 
 
 CONTROLS = """window.controls = [...document.querySelectorAll("a, button, input, select, textarea, [tabindex]")]
