@@ -215,7 +215,7 @@ $("#enlarge").onclick = ({ target }) => {
 wireFinish(() => {
   [chosen, details] = ["run", false];
   drawLead();
-}, tell);
+}, tell, () => watch.state);
 wireTeaching((what) => drive.ask(what));
 wireCarry({
   carry: (pose) => {

@@ -1,7 +1,7 @@
 // Recordings, learning, and runs with a model.
 
 import { $, element, say } from "./element.js";
-import { jobFacts, jobText, recordingFacts } from "./words.js";
+import { jobFacts, jobText, recordingFacts, reportOf } from "./words.js";
 import { chosenWorld, madeWorld, showNews, worldOf } from "./world.js";
 
 const REALLY_MS = 3000;
@@ -162,7 +162,9 @@ function recordingItem(one) {
     return element("img", { alt: "", loading: "lazy", width: 72, height: 54, src });
   });
   const row = element("div", { className: "thumbnails" }, ...pictures);
-  return element("li", {}, element("label", {}, box, text), row, ...managing(one.name, `${title}, ${when}`));
+  const called = `${title}, ${when}`, [name, ...buttons] = managing(one.name, called);
+  const report = element("a", { className: "report", href: reportOf(one.name), target: "_blank", "aria-label": `Report of ${called}` }, "Report");
+  return element("li", {}, element("label", {}, box, text), row, name, ...(one.frames ? [report] : []), ...buttons);
 }
 
 /** Controls that rename and delete a file. */

@@ -83,6 +83,9 @@ export function beliefFacts(belief, age) {
   return status === "recognized" ? "The page reads the model …" : "The robot has not recognized a taught place yet.";
 }
 
+/** Address of a recording's report. */
+export const reportOf = (recording) => `report?${new URLSearchParams({ of: recording })}`;
+
 /** How often the robot was carried elsewhere; empty if never. */
 export const kidnappings = (count) => (count ? `kidnapped${count > 1 ? ` ${count} times` : ""}` : "");
 

@@ -24,6 +24,7 @@ from services.robot.body import OdometryReading
 from services.robot.messages import odometry_message
 from services.simulator.sensors.camera import depth_message
 from tests.services.console.conftest import Nobody
+from tests.services.recordings import recorded_messages, test_recorder_files
 from tests.services.waiting import eventually
 from tests.smal.depth_world import MOUNT, depth
 from tests.system.console.console_site import act, run_in
@@ -531,6 +532,41 @@ def test_finish_shows_the_run_when_it_has_ended(page: Page, board: Board) -> Non
     page.click("#last-run")
     page.wait_for_selector("#finish:visible")
     assert page.get_attribute("#steps [data-panel=run]", "aria-pressed") == "true"
+
+
+def test_finish_is_there_again_after_a_reload(
+    page: Page, nobody: Nobody, board: Board, tmp_path: Path
+) -> None:
+    library = nobody.library
+    (tmp_path / "drives").mkdir()
+    for name in ("run-before", "run-1"):
+        messages = list(recorded_messages.episode(name, frames=12, purpose="run"))
+        test_recorder_files.record(tmp_path / "drives", messages)
+    board.put("library", library.look())
+    run_and_find(page, board)
+    page.reload()
+    page.wait_for_selector("#finish:visible")
+    assert page.inner_text("#finish-title") == "Found"
+    assert page.inner_text("#finish .facts") == "7.0 m driven in 1.1 s, 1.0 m from the goal"
+    assert page.locator("#finish .film img").count() == 6
+    assert page.get_attribute("#finish input", "aria-valuetext") == "1.1 s of 1.1 s"
+    assert page.get_attribute("#report", "href") == "report?of=drives%2Frun-1.mcap"
+    page.click("#steps [data-panel=learn]")
+    listed = page.locator("#recordings .report")
+    assert {one.get_attribute("href") for one in listed.all()} == {
+        f"report?of=drives%2F{name}.mcap" for name in ("run-before", "run-1")
+    }
+    # A drive since then: the card waits until it is asked for.
+    board.put("robot", DRIVE | {"episode": None, "outcome": "found", "at": board.clock()})
+    board.put("driven", {"episode": "drive-1", "metres": 3.0})
+    board.put("goal", {"episode": "drive-1", "at": None, "boxes": []})
+    page.reload()
+    page.click("#steps [data-panel=run]")
+    assert page.is_hidden("#finish")
+    page.click("#last-run")
+    page.wait_for_selector("#finish:visible")
+    metres = library.recordings()[0].metres
+    assert page.inner_text("#finish .facts") == f"{metres:.1f} m driven in 1.1 s"
 
 
 LONG_RUN = """new Promise((done) => document.querySelector("#camera canvas").toBlob(done)).then(async (picture) => {
