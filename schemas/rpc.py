@@ -64,7 +64,7 @@ MAX_TICKS: Final = 1_000_000
 Metres = Annotated[float, Field(ge=-1e5, le=1e5)]
 #: From east, anticlockwise.
 HeadingRad = Annotated[float, Field(ge=-math.pi, le=math.pi)]
-_Point = tuple[Metres, Metres]  # Position in the world, in the coordinates of the robot's pose.
+Point = tuple[Metres, Metres]  # Position in the world, in the coordinates of the robot's pose.
 
 
 class Nothing(Strict):
@@ -164,7 +164,7 @@ class ResetReply(Strict):
     victim: tuple[float, float] | None = None
     #: Outlines of the untaught obstacles on and beside the way, metres, if known.
     things: Annotated[
-        tuple[Annotated[tuple[_Point, ...], Field(max_length=100)], ...], Field(max_length=100)
+        tuple[Annotated[tuple[Point, ...], Field(max_length=100)], ...], Field(max_length=100)
     ] = ()
 
 
@@ -189,6 +189,17 @@ class CarryRequest(Strict):
     session: SessionId = ""  # Caller; while an operator is active, only theirs is accepted.
 
 
+class TaskRequest(Strict):
+    """Choose start and goal in the world of a simulated robot (robot).
+
+    They hold until the robot's process ends. Refused during an episode, and without a free way.
+    """
+
+    start: Point
+    goal: Point
+    session: SessionId = ""  # Caller; while an operator is active, only theirs is accepted.
+
+
 #: Kinds of a ground plan's shapes, from the lowest.
 PlanKind = Literal["ground", "water", "street", "solid"]
 MOST_SHAPES: Final = 3000  # Maximum number of a ground plan's shapes.
@@ -199,7 +210,7 @@ class PlanShape(Strict):
     """Shape of a ground plan: a filled outline, or a line."""
 
     kind: PlanKind
-    points: Annotated[tuple[_Point, ...], Field(max_length=MOST_POINTS)]
+    points: Annotated[tuple[Point, ...], Field(max_length=MOST_POINTS)]
     filled: bool
 
 
@@ -207,8 +218,10 @@ class PlanReply(Strict):
     """Ground plan of a simulated robot's world, in the coordinates of its poses."""
 
     world: str
-    start: _Point
-    victim: _Point
+    start: Point
+    victim: Point
+    #: Free way from the start to the victim; empty without one.
+    route: Annotated[tuple[Point, ...], Field(max_length=MOST_POINTS)] = ()
     shapes: Annotated[tuple[PlanShape, ...], Field(max_length=MOST_SHAPES)]
 
 

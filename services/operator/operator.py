@@ -26,6 +26,7 @@ from schemas.rpc import (
     ResetRequest,
     ResumeRequest,
     Status,
+    TaskRequest,
 )
 from services.kit.bus import RpcError
 from services.kit.errors import JobError
@@ -390,12 +391,15 @@ class Operator:
             request = EndRequest(episode=self.mine, said=said, session=self._node.session)
             self.ask(lambda: self._call("end", request))
 
-    def carry(self, pose: CarryRequest, carried: Callable[[], None] = lambda: None) -> None:
-        """Carry a simulated robot elsewhere, then call ``carried``, on a requesting thread."""
+    def place(
+        self, request: CarryRequest | TaskRequest, placed: Callable[[], None] = lambda: None
+    ) -> None:
+        """Carry a simulated robot, or choose its task; then call ``placed``, on another thread."""
+        verb = "carry" if isinstance(request, CarryRequest) else "task"
 
         def ask() -> None:
-            self._call("carry", pose.model_copy(update={"session": self._node.session}))
-            carried()
+            self._call(verb, request.model_copy(update={"session": self._node.session}))
+            placed()
 
         if self._may_ask():
             self.ask(ask)

@@ -168,7 +168,7 @@ class Body(Stops, Protocol[V_co]):
 
 @runtime_checkable
 class Carriable(Protocol):
-    """Part of a simulated body that a person can carry elsewhere."""
+    """Part of a simulated body that a person can carry elsewhere, and give another task."""
 
     @property
     def pose(self) -> tuple[float, float, float]:
@@ -176,6 +176,9 @@ class Carriable(Protocol):
 
     def carry(self, x_m: float, y_m: float, heading_rad: float) -> None:
         """Move the robot elsewhere at rest; ServiceError if the place is not free."""
+
+    def choose_task(self, start: tuple[float, float], goal: tuple[float, float]) -> None:
+        """Move start and goal of the world, metres; ServiceError without a free way."""
 
 
 def check_conditions(body: Body[View], request: ResetRequest) -> None:

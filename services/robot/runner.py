@@ -20,6 +20,7 @@ from schemas.rpc import (
     ResetReply,
     ResetRequest,
     ResumeRequest,
+    TaskRequest,
 )
 from services.kit.cameras import camera_info
 from services.kit.jpeg import decode_jpeg, encode_jpeg, jpeg_size
@@ -195,17 +196,29 @@ class EpisodeRunner(Generic[V]):
         ServiceError
             For another body, during a drive, if an operator denies it, or if the place is not free.
         """
-        if not isinstance(self.body, Carriable):
-            raise ServiceError(
-                f"{self.body.name}: unsupported; only a simulated robot can be carried"
-            )
-        self._unless(self.gate.not_theirs(request.session))
+        body = self._carriable(request.session)
         run = self.running
         if run is not None and run.request.purpose != "run":
             raise ServiceError("not carried: this drive would teach a wrong way; end it first")
-        self.body.carry(request.x_m, request.y_m, request.heading_rad)
+        body.carry(request.x_m, request.y_m, request.heading_rad)
         if run is not None:
             run.carried = True
+
+    def choose_task(self, request: TaskRequest) -> None:
+        """Choose start and goal in the world of a simulated robot; ServiceError as for ``carry``."""
+        body = self._carriable(request.session)
+        if self.running is not None:
+            raise ServiceError("start and goal not chosen: an episode runs; end it first")
+        body.choose_task(request.start, request.goal)
+
+    def _carriable(self, session: str) -> Carriable:
+        body: object = self.body
+        if not isinstance(body, Carriable):
+            raise ServiceError(
+                f"{self.body.name}: unsupported; only a simulated robot can be carried"
+            )
+        self._unless(self.gate.not_theirs(session))
+        return body
 
     def cancel(self, request: CancelRequest) -> None:
         """Cancel an episode that is beginning; thread-safe, ServiceError if idle or denied."""

@@ -22,6 +22,7 @@ from schemas.rpc import (
     ResetRequest,
     ResumeRequest,
     Status,
+    TaskRequest,
 )
 from schemas.topics import COMMANDS, HEARTBEAT, PULSE, Lane
 from services.kit.bus import RpcError
@@ -111,6 +112,7 @@ class RobotService:
         node.serve("end", EndRequest, self.end)
         node.serve("look", Nothing, self.look)
         node.serve("carry", CarryRequest, runner.carry)
+        node.serve("task", TaskRequest, runner.choose_task)
         node.every(PERIOD_S, self.poll)
         node.apart(PULSE_S, runner.pulse)
         node.detail = self.detail

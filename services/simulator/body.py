@@ -171,6 +171,19 @@ class SimulatedBody:
             except WorldError as error:
                 raise ServiceError(str(error)) from None
 
+    def choose_task(self, start: tuple[float, float], goal: tuple[float, float]) -> None:
+        """Move start and goal of the world, metres; ServiceError without a free way."""
+        with self._lock:
+            try:
+                self.simulation.choose_task(start, goal)
+            except WorldError as error:
+                raise ServiceError(str(error)) from None
+            world = self.simulation.world
+            if self._worlds is not None:
+                self._worlds.tasks[self._worlds.here[0]] = world.start, world.victim
+            self._order = STANDING
+            self._ordered_s = self._moved_s = self._clock()
+
     def look(self, tick: int) -> SimulatedView:
         """Return the view of a tick; at the kidnap tick the robot is moved first."""
         with self._lock:
@@ -190,7 +203,9 @@ class SimulatedBody:
         if self._worlds is None:
             return {}
         _, variation = self._worlds.here
+        start, victim = self.simulation.world.start, self.simulation.world.victim
         return {
+            "task": f"({start.x:.1f}, {start.y:.1f}) to ({victim.x:.1f}, {victim.y:.1f})",
             "variation": variation,
             "variations": ", ".join(VARIATIONS),
             "worlds": ", ".join(self._worlds.names()),

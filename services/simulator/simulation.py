@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -19,7 +20,12 @@ from services.simulator.variation import DAY, Variation
 from services.simulator.world.obstacles import Obstacle, stand_in_the_way
 from services.simulator.world.people import Person, walk_about
 from services.simulator.world.place import Pose, World, WorldError
-from services.simulator.world.route import obstacles_of, plan_route
+from services.simulator.world.route import (
+    first_pose,
+    obstacles_of,
+    plan_route,
+    route_length_m,
+)
 from services.simulator.world.task import moved_victim, sample_start
 from smal.obstacles.clearance import Mount
 
@@ -204,6 +210,35 @@ class Simulation:
         self._check_room(pose)
         self.pose = pose
         self._base.put(pose, self._chance(6))
+
+    def choose_task(self, start: tuple[float, float], goal: tuple[float, float]) -> None:
+        """Move start and victim of the world, and the robot to the start.
+
+        Raises
+        ------
+        WorldError
+            A place is not free, or no free way connects them; the world stays as it is.
+        """
+        before = self.world
+        for x, y in (start, goal):
+            self._check_room(Pose(x, y, 0.0))
+        victim = replace(before.victim, x=goal[0], y=goal[1])
+        route = plan_route(replace(before, victim=victim), start)
+        if route_length_m(route) < self.found_m:
+            raise WorldError(
+                f"start and goal are too close ({route_length_m(route):.1f} m < minimum "
+                f"{self.found_m:g} m); choose them further apart"
+            )
+        try:
+            self._enter(replace(before, start=first_pose(route), victim=victim))
+        except WorldError:
+            self._enter(before)
+            raise
+
+    def _enter(self, world: World) -> None:
+        self.world = world
+        self._seen = world, *self._seen[1:]
+        self.reset(0, "drive")
 
     def _chance(self, stream: int) -> np.random.Generator:
         """Return a random generator of the episode; stream numbers are part of the seed."""

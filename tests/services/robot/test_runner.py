@@ -11,7 +11,7 @@ from schemas.command import CommandApplied
 from schemas.episode import Episode
 from schemas.heartbeat import Heartbeat
 from schemas.motion import Imu, Odometry, TruePose
-from schemas.rpc import CarryRequest, EndRequest, ResetRequest, ResumeRequest
+from schemas.rpc import CarryRequest, EndRequest, ResetRequest, ResumeRequest, TaskRequest
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.kit.node import ServiceError
 from services.robot.gate import MAX_AGE_S
@@ -316,6 +316,9 @@ class CarriedBody(LineBody):
     def carry(self, x_m: float, y_m: float, heading_rad: float) -> None:
         self.x = x_m
 
+    def choose_task(self, start: tuple[float, float], goal: tuple[float, float]) -> None:
+        self.x, self.goal = start[0], goal[0]
+
 
 def carry(runner: Runner, session: str = "") -> None:
     runner.carry(CarryRequest(x_m=7.0, y_m=0.0, heading_rad=0.0, session=session))
@@ -340,9 +343,14 @@ def test_robot_is_not_carried_when_that_is_no_simulated_run() -> None:
     runner, _ = begin(CarriedBody(Clock()), purpose="drive", driver="teleop")
     with pytest.raises(ServiceError, match="this drive would teach a wrong way"):
         carry(runner)
+    task = TaskRequest(start=(2.0, 0.0), goal=(9.0, 0.0))
+    with pytest.raises(ServiceError, match="an episode runs"):
+        runner.choose_task(task)
     runner = runner_of(CarriedBody(Clock()), armed(attended=True))
     carry(runner)  # before an episode
     assert runner.body.x == 7.0
+    runner.choose_task(task)
+    assert (runner.body.x, runner.body.goal) == (2.0, 9.0)
     pulse = runner.pulse()
     own = {"session": "a", "name": "console", "sequence": 0, "answers": pulse.number}
     runner.hear(Heartbeat.after(pulse, **own))
