@@ -13,6 +13,7 @@ from schemas.rpc import (
     FileName,
     HeadingRad,
     Metres,
+    Point,
     Scheme,
     Start,
     WorldName,
@@ -108,6 +109,14 @@ class Carry(Asked):
     heading_rad: HeadingRad
 
 
+class ChooseTask(Asked):
+    """Choose start and goal in the world of the simulated robot."""
+
+    do: Literal["task"]
+    start: Point
+    goal: Point
+
+
 class LearnRequest(Asked):
     """Learn a model from recordings, under a name."""
 
@@ -140,7 +149,7 @@ class Rename(Asked):
     name: Label
 
 
-Ask = Press | End | DriveRequest | Run | Carry | LearnRequest | Add | Delete | Rename
+Ask = Press | End | DriveRequest | Run | Carry | ChooseTask | LearnRequest | Add | Delete | Rename
 OF_WATCHERS: TypeAdapter[SeenRequest | StopRequest] = TypeAdapter(
     Annotated[SeenRequest | StopRequest, Field(discriminator="do")]
 )

@@ -71,7 +71,7 @@ class ListedRecording:
         return shown | {"thumbnails": len(self.thumbnails)}
 
 
-class Moment(NamedTuple):
+class RecordedMoment(NamedTuple):
     """A moment of a recorded episode, with its picture as JPEG."""
 
     seconds: float
@@ -84,7 +84,7 @@ class RecordedMoments:
     """Moments along an episode; ``true``: in the frame of the world, else of its odometry."""
 
     true: bool = False
-    moments: tuple[Moment, ...] = ()
+    moments: tuple[RecordedMoment, ...] = ()
 
 
 class Reader:
@@ -202,7 +202,7 @@ def read_moments(path: Path) -> RecordedMoments:
     poses = episode.poses or episode.odometry
     first = min(episode.images)
     moments = tuple(
-        Moment((tick - first) * TICK_S, poses[tick].pose if tick in poses else None, jpeg)
+        RecordedMoment((tick - first) * TICK_S, poses[tick].pose if tick in poses else None, jpeg)
         for tick, jpeg in _pictures(episode, _MOMENTS, _MOMENT_WIDTH)
     )
     return RecordedMoments(bool(episode.poses), moments)

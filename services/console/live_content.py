@@ -106,8 +106,8 @@ class LiveContent:
         self._way_of = ""
         self._driven = DrivenRoute()  # By odometry, which every robot has.
         self._driven_of = ""
-        # World and variation of the shown ground plan: a variation moves furniture.
-        self._planned: tuple[object, object] = (None, None)
+        # World, variation and task of the shown ground plan: a variation moves furniture.
+        self._planned: tuple[object, ...] = ()
         self._obstacles = ObstacleMemory()
         self._seen_s = -math.inf  # Time of the last frame.
         node.subscribe(topics.JPEG, self._on_image, depth=1)
@@ -229,7 +229,7 @@ class LiveContent:
     def _look_at_world(self) -> None:
         """Show the ground plan of a simulated robot's world."""
         world = self.health.detail("robot", "world")
-        here = (world, self.health.detail("robot", "variation"))
+        here = (world, *(self.health.detail("robot", key) for key in ("variation", "task")))
         if here == self._planned or self.health.detail("robot", "worlds") is None:
             return
         with suppress(RpcError):

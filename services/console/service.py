@@ -24,12 +24,14 @@ from schemas.rpc import (
     ResetReply,
     ResetRequest,
     Status,
+    TaskRequest,
 )
 from services.console.browser_messages import (
     LATE,
     Add,
     Ask,
     Carry,
+    ChooseTask,
     Delete,
     DriveRequest,
     End,
@@ -184,7 +186,9 @@ class ConsoleService:
                 self._run(ask)
             case Carry():
                 pose = CarryRequest(x_m=ask.x_m, y_m=ask.y_m, heading_rad=ask.heading_rad)
-                self._operator.carry(pose, self.live.peek)
+                self._operator.place(pose, self.live.peek)
+            case ChooseTask():
+                self._operator.place(TaskRequest(start=ask.start, goal=ask.goal), self.live.peek)
             case LearnRequest() | Add():
                 self._learn(ask)
             case Delete():

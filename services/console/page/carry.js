@@ -3,9 +3,11 @@
 import { $, say } from "./element.js";
 
 // The robot follows the hand as a trailer follows its hitch, so it faces where it was pulled.
-const BAR_PX = 24, STEP_PX = 6, CLICK_PX = 4;
-const MOVES = { ArrowUp: [0, -1], ArrowDown: [0, 1], ArrowLeft: [-1, 0], ArrowRight: [1, 0] };
-const button = $("#carry"), canvas = $("#map canvas"), state = $("#carried");
+const BAR_PX = 24, CLICK_PX = 4;
+/** Pixels of a key press, and the directions of the keys. */
+export const STEP_PX = 6;
+export const MOVES = { ArrowUp: [0, -1], ArrowDown: [0, 1], ArrowLeft: [-1, 0], ArrowRight: [1, 0] };
+const button = $("#carry"), canvas = $("#map canvas"), state = $("#map-state");
 
 let shown = null, hand = null;
 
@@ -79,6 +81,7 @@ export function wireCarry({ carry, redraw, click, tell }) {
     back();
   };
   button.onpointercancel = () => hand?.pointer && back();
+  addEventListener("resize", () => hand && back());
   button.onblur = () => hand && !hand.pointer && back();
   button.onkeydown = (event) => {
     const { key } = event, enters = key === "Enter" || key === " ";

@@ -4,6 +4,7 @@ import { drawAhead } from "./ahead.js";
 import { drawBelief } from "./belief.js";
 import { Box } from "./box.js";
 import { wireCarry } from "./carry.js";
+import { drawChoice, wireChoice } from "./choose.js";
 import { Drive } from "./drive.js";
 import { $, element, say } from "./element.js";
 import { closeFinish, drawFinish, finished, keepPicture, wireFinish } from "./finish.js";
@@ -90,6 +91,7 @@ function drawLead() {
   $("#camera").classList.toggle("old", led.level === "old" || Boolean(state.link));
   if (led.does[0] !== before.does[0]) changedMs = performance.now();
   drawFinish(watch.state, state.distance);
+  drawChoice(Boolean(told("robot").worlds) && !robot?.episode && !robot?.waiting && !state.opening);
   drawActions({ learn: state.picked > 0, run: state.usable });
   const ends = (chosen ?? "run") === "run" && finished(watch.state);
   drawPanels(details ? "more" : ends ? "finish" : led.step);
@@ -208,10 +210,12 @@ for (const tab of tabs) {
     drawLead();
   };
 }
-$("#enlarge").onclick = ({ target }) => {
-  target.setAttribute("aria-pressed", String($("#map").classList.toggle("large")));
-  onNews(["pose"]);
-};
+const redrawMap = () => onNews(["pose"]);
+function enlarge(is) {
+  $("#enlarge").setAttribute("aria-pressed", String($("#map").classList.toggle("large", is)));
+  redrawMap();
+}
+$("#enlarge").onclick = () => enlarge();
 wireFinish(() => {
   [chosen, details] = ["run", false];
   drawLead();
@@ -222,9 +226,14 @@ wireCarry({
     drive.ask({ do: "carry", ...pose });
     if (!watch.state.robot?.episode) startHere(true);
   },
-  redraw: () => onNews(["pose"]),
+  redraw: redrawMap,
   click: showPlace,
   tell,
+});
+wireChoice({
+  enlarge: () => enlarge(true),
+  chosen: (places) => drive.ask({ do: "task", ...places }),
+  redraw: redrawMap,
 });
 wireWorlds(async (map, name) => {
   if (!(await drive.take())) return;

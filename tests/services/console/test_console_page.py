@@ -408,17 +408,49 @@ def test_robot_is_carried_by_keys_unless_escape_is_pressed(
     page.focus("#carry")
     for last in ("Escape", "Enter"):
         page.keyboard.press("Enter")
-        page.wait_for_selector("#carried:has-text('Escape cancels')")
+        page.wait_for_selector("#map-state:has-text('Escape cancels')")
         for _ in range(10):
             page.keyboard.press("ArrowRight")
         page.keyboard.press(last)
-        page.wait_for_selector("#carried", state="hidden")
+        page.wait_for_selector("#map-state", state="hidden")
     (asked,) = eventually(lambda: nobody.asked)
     assert asked.do == "carry"
     assert asked.x_m > 5.5
     assert nobody.stops == 0
     page.keyboard.press("Escape")
     eventually(lambda: nobody.stops)
+
+
+@pytest.mark.parametrize("by", ["mouse", "keys"])
+def test_start_and_goal_are_chosen_on_the_map(
+    page: Page, nobody: Nobody, board: Board, by: str
+) -> None:
+    show_robot(board)
+    page.click("#steps [data-panel=teach]")
+    page.click("#choose")
+    page.wait_for_selector("#map-state:has-text('Click the start')")
+    box = page.locator("#map canvas").bounding_box()
+    middle = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    for k in (-1, 1):
+        if by == "mouse":
+            page.mouse.click(middle[0] + 60 * k, middle[1])
+        else:
+            for _ in range(15 + 5 * k):
+                page.keyboard.press("ArrowRight" if k > 0 else "ArrowLeft")
+            page.keyboard.press("Enter")
+        if k < 0:
+            page.wait_for_selector("#map-state:has-text('Click the goal')")
+    (asked,) = eventually(lambda: nobody.asked)
+    assert asked.do == "task"
+    assert asked.start[0] < 5.0 < asked.goal[0]
+    assert asked.start[1] == pytest.approx(asked.goal[1])
+    page.wait_for_selector("#map-state", state="hidden")
+    page.click("#choose")
+    page.keyboard.press("Escape")
+    page.wait_for_selector("#map-state", state="hidden")
+    assert nobody.stops == 0
+    board.put("robot", DRIVE | {"at": board.clock()})
+    page.wait_for_selector("#choose[disabled]", state="attached")
 
 
 def test_files_are_renamed_and_deleted(page: Page, nobody: Nobody, board: Board) -> None:
