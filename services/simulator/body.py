@@ -203,7 +203,9 @@ class SimulatedBody:
         if self._worlds is None:
             return {}
         _, variation = self._worlds.here
-        start, victim = self.simulation.world.start, self.simulation.world.victim
+        world = self.simulation.world
+        start = world.start
+        victim = world.victim
         return {
             "task": f"({start.x:.1f}, {start.y:.1f}) to ({victim.x:.1f}, {victim.y:.1f})",
             "variation": variation,

@@ -78,7 +78,7 @@ function viewOf(points, [width, height], top) {
  * pixels, or its interior; `arrow`, a robot; `mark`, a square at a place; and the pixels of the taught places. Null without a point.
  */
 export function drawPlaces(pen, size, { ground, boxes = [], taught, drives = [], path, planned = [], victim, others = [], view, top = 0 }) {
-  const all = [...taught, ...path, ...others, ...(victim ? [victim] : [])];
+  const all = [...taught, ...path, ...planned, ...others, ...(victim ? [victim] : [])];
   // The ground plan alone shows the task; a town is far larger than a way.
   if (ground) all.push(ground.start, ground.victim);
   if (all.length === 0) return null;

@@ -377,7 +377,8 @@ def test_robot_is_carried_when_a_person_drags_it(page: Page, nobody: Nobody, boa
     def drag(right: float, up: float) -> Any:
         board.put("stands", {"pose": [5.0, 0.0, 0.0], "at": board.clock()})
         box = page.locator("#carry").bounding_box()
-        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        x = box["x"] + box["width"] / 2
+        y = box["y"] + box["height"] / 2
         page.mouse.move(x, y)
         page.mouse.down()
         for share in (0.2, 0.4, 0.6, 0.8, 1.0):
@@ -385,7 +386,8 @@ def test_robot_is_carried_when_a_person_drags_it(page: Page, nobody: Nobody, boa
         page.mouse.up()
         return eventually(lambda: nobody.asked.pop() if nobody.asked else None)
 
-    ahead, up = drag(100.0, 0.0), drag(0.0, 100.0)
+    ahead = drag(100.0, 0.0)
+    up = drag(0.0, 100.0)
     # The map shows 10 m between its margins of 18 pixels, and the robot faces where it was pulled.
     metres = 100.0 * 10.0 / (page.locator("#map canvas").bounding_box()["width"] - 36.0)
     assert (ahead.x_m, ahead.y_m, ahead.heading_rad) == pytest.approx(

@@ -317,7 +317,8 @@ class CarriedBody(LineBody):
         self.x = x_m
 
     def choose_task(self, start: tuple[float, float], goal: tuple[float, float]) -> None:
-        self.x, self.goal = start[0], goal[0]
+        self.x = start[0]
+        self.goal = goal[0]
 
 
 def carry(runner: Runner, session: str = "") -> None:
