@@ -34,6 +34,7 @@ class Running(Generic[V]):
     client_s: float  # Time of the last heartbeat of the client that began it.
     client_beat: int = -1  # Sequence number of that heartbeat.
     found: bool = False  # Whether the goal has been reached in any frame.
+    carried: bool = False  # Whether the robot was carried elsewhere since the last frame.
     applied: Applied | None = None
     said: int = 0  # Number of reports of the motion in this tick.
     #: Times at which recent frames were ready, and the latency of each source's last accepted
