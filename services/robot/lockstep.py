@@ -45,6 +45,14 @@ class Steppable(Body[V_co], Protocol[V_co]):
         """Move the robot at a velocity for a duration, which is its ``frame_s``."""
 
 
+class PosedView(View, Protocol):
+    """A view of a simulator, which knows where the robot is."""
+
+    @property
+    def true_pose(self) -> tuple[float, float, float]:
+        """Ground truth: x, y in metres, heading in radians."""
+
+
 class SteppedEpisode(RunningEpisode[V]):
     """An episode in this process, with the same poses as an episode over messages."""
 
@@ -60,6 +68,11 @@ class SteppedEpisode(RunningEpisode[V]):
     def kinematics(self) -> Kinematics:
         """Limits of the robot's motion."""
         return self._steppable.kinematics
+
+    @property
+    def mount(self) -> Mount | None:
+        """Position of the depth camera."""
+        return self._steppable.mount
 
     def step(self, asked: Atom | Velocity) -> V:
         """Execute an action as far as the gate permits, and return the next view."""
@@ -163,6 +176,13 @@ class StepView:
     def jpeg(self) -> bytes:
         """Camera image as JPEG."""
         return encode_jpeg(self.image)
+
+    @property
+    def true_pose(self) -> tuple[float, float, float]:
+        """Ground truth; ValueError if the simulator does not report it."""
+        if self.pose is None:
+            raise ValueError("the view has no pose; the simulator must report the true pose")
+        return self.pose
 
     def more(self, header: Message, made: Collection[str] = ()) -> Iterator[Message]:
         """Yield the true pose, if known."""
