@@ -4,7 +4,13 @@ from services.robot.body import Kinematics
 from services.robot.gymnasium_body import GymnasiumBody
 from services.robot.lockstep import serve_body
 from smal.camera import Camera
-from tests.benchmarks.rooms.environment import FRAME_S, SPEED_M_S, TURN_RATE_RAD_S, RoomsEnv
+from tests.benchmarks.rooms.environment import (
+    ACCELERATION_M_S2,
+    FRAME_S,
+    SPEED_M_S,
+    TURN_RATE_RAD_S,
+    RoomsEnv,
+)
 from tests.benchmarks.rooms.scene import FIELD_DEG, WAYS
 
 
@@ -13,6 +19,7 @@ class RoomsBody(GymnasiumBody):
 
     conditions = ("start", "kidnap_tick")
     camera = Camera.of_field(FIELD_DEG)
+    braking_s = SPEED_M_S / ACCELERATION_M_S2
 
     def __init__(self, way: str) -> None:
         kinematics = Kinematics(SPEED_M_S, TURN_RATE_RAD_S)

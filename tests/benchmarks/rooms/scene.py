@@ -21,8 +21,7 @@ _THICK_M: Final = 0.14
 _PIECE_M: Final = 3.0  # Longest piece of a wall with one picture.
 _PIXELS: Final = 64  # Pixels of a texture a metre: a pixel of the camera at 3 m shows 1.4 cm.
 RADIUS_M: Final = 0.22  # Of the robot.
-TRACK_M: Final = 0.36
-WHEEL_M: Final = 0.08  # Radius of a wheel.
+TRACK_M: Final = 0.36  # Distance of its wheels.
 FIELD_DEG: Final = FIELD_OF_VIEW_DEG  # Horizontal field of view, as drivers assume.
 #: Walls by their ends; the doors between the pieces are 1.4 m wide.
 _WALLS: Final = (
@@ -301,25 +300,15 @@ def _shaded_leaves(rng: np.random.Generator) -> NDArray[np.uint8]:
 
 def _robot(size: tuple[int, int]) -> str:
     field = 2 * np.degrees(np.arctan(np.tan(np.radians(FIELD_DEG / 2)) * size[1] / size[0]))
-    wheels = "".join(
-        f'<body name="{name}" pos="0 {side * TRACK_M / 2:.3f} 0"><joint name="{name}" axis="0 1 0" damping="0.02"/>'
-        f'<geom name="{name}" type="cylinder" size="{WHEEL_M} 0.02" zaxis="0 1 0" mass="0.4" friction="1.2"/></body>'
-        for name, side in (("left", 1), ("right", -1))
-    )
-    casters = "".join(
-        f'<geom name="{name}" type="sphere" size="0.03" pos="{x} 0 -0.048" mass="0.2" priority="1" condim="1"/>'
-        for name, x in (("front", 0.15), ("rear", -0.15))
-    )
     return f"""
-    <body name="robot" pos="0 0 {WHEEL_M}"><freejoint name="robot"/>
-      <geom name="chassis" type="cylinder" size="{RADIUS_M} 0.06" pos="0 0 0.06" mass="6" rgba=".2 .2 .2 1"/>
-      <camera name="camera" pos="0.12 0 0.4" xyaxes="0 -1 0 0 0 1" fovy="{field:.4f}"/>
-      {wheels}{casters}
+    <body name="robot" pos="0 0 0.1">
+      <joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/><joint type="hinge" axis="0 0 1"/>
+      <geom name="chassis" type="cylinder" size="{RADIUS_M} 0.08" mass="6" rgba=".2 .2 .2 1"/>
+      <camera name="camera" pos="0.12 0 0.38" xyaxes="0 -1 0 0 0 1" fovy="{field:.4f}"/>
     </body>"""
 
 
 _MODEL: Final = """<mujoco>
-  <option timestep="0.004" integrator="implicitfast"/>
   <visual>
     <global offwidth="{width}" offheight="{height}"/>
     <quality shadowsize="0" offsamples="0"/>
@@ -338,7 +327,4 @@ _MODEL: Final = """<mujoco>
     {geoms}
     {robot}
   </worldbody>
-  <actuator>
-    <velocity joint="left" kv="3" forcerange="-8 8"/><velocity joint="right" kv="3" forcerange="-8 8"/>
-  </actuator>
 </mujoco>"""
