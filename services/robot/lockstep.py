@@ -4,6 +4,7 @@ Any simulator is a body here: `SteppedBody` needs its start, its step and its vi
 """
 
 import math
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
@@ -20,7 +21,7 @@ from services.kit.jpeg import encode_jpeg
 from services.kit.node import Detail, Node
 from services.kit.process import configure_logging, read_settings, run_service
 from services.robot.body import Beginning, Body, ImuReading, Kinematics, OdometryReading, View
-from services.robot.clock import now_s
+from services.robot.clock import Clocks, SimulatedClock, now_s
 from services.robot.episode import RunningEpisode
 from services.robot.gate import bounded
 from services.robot.guard import guard_of
@@ -290,6 +291,8 @@ def serve_body(make: Callable[[], SteppedBody], task: Task[StepView] | None = No
             body = make()
             return body, {"lockstep": lambda: Lockstep(body)}
 
-        serve_robot(settings, open_body, task or SimulatorsTask())
+        clock = SimulatedClock()
+        clocks = Clocks(clock, time.time_ns, clock.hold)
+        serve_robot(settings, open_body, task or SimulatorsTask(), clocks=clocks)
 
     run_service(ROBOT, serve)

@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -36,6 +36,9 @@ from services.expert.driver import DRIVE_TICKS
 from services.kit.errors import UsageError
 from services.robot.lockstep import SimulatorsTask, SteppedBody, SteppedEpisode, StepView
 from tests.benchmarks.reporting import Parser, Record, say, table
+
+if TYPE_CHECKING:
+    from tests.benchmarks.rooms.body import RoomsBody
 
 DRIVERS: Final = ("smal", "teach-and-repeat", "place-filter", "nearest-5")
 ASKED: Final = ("start", "anywhere", "kidnapped")
@@ -85,6 +88,8 @@ def main(arguments: list[str]) -> None:
         if flags.out is not None and one.number == 0:
             _save_pictures(flags.out / f"{one.way}.png", made)
         searches += _searches(bodies[one.way], one, made)
+    for body in bodies.values():
+        body.close()
     rows = [
         _row([each for each in searches if (each.driver, each.cell) == (driver, cell)])
         for cell, driver in product(ASKED, DRIVERS)
@@ -98,7 +103,7 @@ def main(arguments: list[str]) -> None:
     say(flags, {"rows": rows, "taught": ways, "searches": every}, text)
 
 
-def _bodies() -> dict[str, SteppedBody]:
+def _bodies() -> "dict[str, RoomsBody]":
     try:
         from tests.benchmarks.rooms.body import RoomsBody  # noqa: PLC0415 - an extra
     except ImportError as error:

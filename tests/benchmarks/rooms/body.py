@@ -5,7 +5,7 @@ from services.robot.gymnasium_body import GymnasiumBody
 from services.robot.lockstep import serve_body
 from smal.camera import Camera
 from tests.benchmarks.rooms.environment import (
-    ACCELERATION_M_S2,
+    BRAKING_S,
     FRAME_S,
     SPEED_M_S,
     TURN_RATE_RAD_S,
@@ -19,11 +19,13 @@ class RoomsBody(GymnasiumBody):
 
     conditions = ("start", "kidnap_tick")
     camera = Camera.of_field(FIELD_DEG)
-    braking_s = SPEED_M_S / ACCELERATION_M_S2
+    braking_s = BRAKING_S
 
-    def __init__(self, way: str) -> None:
+    def __init__(self, way: str, width: int = 320, height: int = 240) -> None:
+        env = RoomsEnv(way, width, height)
+        self.close = env.close
         kinematics = Kinematics(SPEED_M_S, TURN_RATE_RAD_S)
-        super().__init__(RoomsEnv(way), lambda velocity: velocity, kinematics, frame_s=FRAME_S)
+        super().__init__(env, lambda velocity: velocity, kinematics, frame_s=FRAME_S)
 
 
 if __name__ == "__main__":

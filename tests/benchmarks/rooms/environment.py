@@ -23,7 +23,7 @@ from tests.benchmarks.rooms.scene import (
 FRAME_S: Final = 0.1
 SPEED_M_S: Final = 0.6
 TURN_RATE_RAD_S: Final = 0.8
-ACCELERATION_M_S2: Final = 3.0  # Of a wheel, which does not slip: it stands in 0.2 s.
+BRAKING_S: Final = 0.1  # From full speed, and from the full turn rate, to standstill.
 _STEP_S: Final = 0.02  # Of the motion: 12 mm at full speed.
 FOUND_M: Final = 1.2  # Distance at which the target counts as found, as in SMAL's room.
 _VIEW_RAD: Final = math.radians(37.5)  # Half of the field of view.
@@ -83,13 +83,14 @@ class RoomsEnv(gymnasium.Env[Observed, NDArray[np.float32]]):
     def step(self, action: NDArray[np.float32]) -> tuple[Observed, float, bool, bool, Info]:
         """Drive for a frame."""
         linear, angular = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
-        half = angular * TURN_RATE_RAD_S * TRACK_M / 2
-        wanted = linear * SPEED_M_S + np.array([-half, half])
-        most = ACCELERATION_M_S2 * _STEP_S
+        wanted = np.array([linear * SPEED_M_S, angular * TURN_RATE_RAD_S])
+        most = np.array([SPEED_M_S, TURN_RATE_RAD_S]) * _STEP_S / BRAKING_S
         collided = False
         for _ in range(round(FRAME_S / _STEP_S)):
-            self._rims_m_s += np.clip(wanted - self._rims_m_s, -most, most)
-            rolled_m = self._rims_m_s * _STEP_S
+            self._velocity += np.clip(wanted - self._velocity, -most, most)
+            ahead, turn = self._velocity * _STEP_S
+            half = turn * TRACK_M / 2
+            rolled_m = np.array([ahead - half, ahead + half])
             self._move(_rolled(self._pose, rolled_m))
             self._odometry = _rolled(self._odometry, rolled_m * self._encoders)
             collided |= self._data.ncon > 0
@@ -140,7 +141,7 @@ class RoomsEnv(gymnasium.Env[Observed, NDArray[np.float32]]):
 
     def _put(self, x: float, y: float, heading: float) -> None:
         """Place the robot at rest; its wheels do not notice."""
-        self._rims_m_s = np.zeros(2)
+        self._velocity = np.zeros(2)  # m/s and rad/s.
         self._move((x, y, heading))
 
     def _move(self, pose: Pose) -> None:
