@@ -81,7 +81,7 @@ def main(arguments: list[str]) -> None:
     searches: list[_Searched] = []
     taught = {way: list[int]() for way in bodies}
     for one in tqdm(sets, "drives", disable=None):
-        if time.monotonic() > ends_s:
+        if searches and time.monotonic() > ends_s:
             break
         made = _drive(bodies[one.way], one)
         taught[one.way].append(len(made["poses"]))
