@@ -281,10 +281,10 @@ def scene_of(way: str, size: tuple[int, int]) -> tuple[str, dict[str, bytes]]:
     leaves = made.material(_shaded_leaves(rng), "cube")
     for x, y, radius in _CROWNS:
         made.geom(type="ellipsoid", pos=(x, y, 2.7), size=(radius, radius, 0.6), material=leaves)
-    (x, y), colours = WAYS[way].points[-1], WAYS[way].colours
+    x, y = WAYS[way].points[-1]
     made.geom(
         type="cylinder", pos=(x, y, 0.3), size=(0.14, 0.3),
-        material=made.material(_target_picture(rng, colours), "cube"),
+        material=made.material(_target_picture(rng, WAYS[way].colours), "cube"),
     )  # fmt: skip
     return _MODEL.format(
         assets="".join(made.assets), geoms="".join(made.geoms), width=size[0], height=size[1],
