@@ -84,7 +84,7 @@ class EpisodeRunner(Generic[V]):
         self.session = session
         self._paces: dict[Mode, Callable[[], Pace[V]]] = {
             "realtime": lambda: RealTime(
-                gate, body, clocks.monotonic_s, self.wake, self.frame_s, self.deaf
+                gate, body, clocks.monotonic_s, self.wake, self.frame_s, self.deaf, clocks.hold
             ),
             **(paces or {}),
         }

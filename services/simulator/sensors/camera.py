@@ -153,6 +153,11 @@ class SimulatedView:
     """Returns whether a topic has subscribers; checked for expensive messages."""
 
     @property
+    def true_pose(self) -> tuple[float, float, float]:
+        """Ground truth: x, y in metres, heading in radians."""
+        return self.pose.x, self.pose.y, self.pose.heading
+
+    @property
     def camera(self) -> Lens:
         """The camera, with the people at their positions of this moment."""
         self.lens.walk(self.people)
