@@ -8,7 +8,8 @@ from pydantic import AfterValidator, Field, model_validator
 from schemas.base import Message, Source
 
 Purpose = Literal["drive", "recovery", "run"]
-EventName = Literal["started", "victim_found", "collision", "timed_out", "ended"]
+#: kidnapped: a simulated robot was moved elsewhere just before the frame, unknown to its odometry.
+EventName = Literal["started", "kidnapped", "victim_found", "collision", "timed_out", "ended"]
 Outcome = Literal["found", "false_goal", "missed", "not_here", "collision", "timeout", "aborted"]
 Said = Literal["found", "not_here"]  # Results that a robot can report to end its run.
 #: Variant of the victim in a simulated run: as in the world; absent; moved a little; replaced by

@@ -3,6 +3,7 @@
 They are JSON, so that curl can read them.
 """
 
+import math
 import re
 from typing import Annotated, Final, Literal
 
@@ -12,8 +13,9 @@ from schemas.base import MAX_TICK, EpisodeId, SessionId, Strict
 from schemas.episode import Box, GoalName, Purpose, Said, Victim
 
 Mode = Literal["lockstep", "realtime"]
-# About the world's start, the same turned round, or anywhere beside the way from there to the victim.
-Start = Literal["start", "turned", "anywhere"]
+# About the world's start, the same turned round, anywhere beside the way from there to the victim, or
+# where the robot stands.
+Start = Literal["start", "turned", "anywhere", "here"]
 #: Localisation by a filter over the map of views, or by the paper's Eq. 7 to 9 with a decision every
 #: l frames.
 Scheme = Literal["filter", "paper"]
@@ -59,8 +61,10 @@ WorldName = Annotated[str, Field(pattern=r"^\w[\w ().-]{0,63}$"), AfterValidator
 # Maximum frames of an episode: more than a day.
 MAX_TICKS: Final = 1_000_000
 
-_Metres = Annotated[float, Field(ge=-1e5, le=1e5)]
-_Point = tuple[_Metres, _Metres]  # Position in the world, in the coordinates of the robot's pose.
+Metres = Annotated[float, Field(ge=-1e5, le=1e5)]
+#: From east, anticlockwise.
+HeadingRad = Annotated[float, Field(ge=-math.pi, le=math.pi)]
+Point = tuple[Metres, Metres]  # Position in the world, in the coordinates of the robot's pose.
 
 
 class Nothing(Strict):
@@ -126,7 +130,7 @@ class ResetRequest(Strict):
     purpose: Purpose = "run"  # Set of starts to draw from.
     driver: Driver = "policy"
     #: Start of a run; turned: with the back to the way; anywhere: up to 1.5 m beside the way (less
-    #: indoors), turned by up to 40 degrees.
+    #: indoors), turned by up to 40 degrees; here: where a simulated robot stands.
     start: Start = "start"
     #: Frame at which the robot is kidnapped: moved to another such place while its wheels stand.
     kidnap_tick: Annotated[int | None, Field(ge=1, le=MAX_TICKS)] = None
@@ -160,7 +164,7 @@ class ResetReply(Strict):
     victim: tuple[float, float] | None = None
     #: Outlines of the untaught obstacles on and beside the way, metres, if known.
     things: Annotated[
-        tuple[Annotated[tuple[_Point, ...], Field(max_length=100)], ...], Field(max_length=100)
+        tuple[Annotated[tuple[Point, ...], Field(max_length=100)], ...], Field(max_length=100)
     ] = ()
 
 
@@ -169,6 +173,31 @@ class LookReply(Strict):
 
     #: Small JPEG; None while an episode publishes frames, and if the camera has no image.
     picture: bytes | None = None
+    #: Ground truth between two episodes (simulated robots): metres and radians.
+    pose: tuple[Metres, Metres, HeadingRad] | None = None
+
+
+class CarryRequest(Strict):
+    """Move a simulated robot elsewhere while its wheels stand (robot): it is kidnapped.
+
+    Refused during a drive, which would teach a wrong way, and if the place is not free.
+    """
+
+    x_m: Metres
+    y_m: Metres
+    heading_rad: HeadingRad
+    session: SessionId = ""  # Caller; while an operator is active, only theirs is accepted.
+
+
+class TaskRequest(Strict):
+    """Choose start and goal in the world of a simulated robot (robot).
+
+    They hold until the robot's process ends. Refused during an episode, and without a free way.
+    """
+
+    start: Point
+    goal: Point
+    session: SessionId = ""  # Caller; while an operator is active, only theirs is accepted.
 
 
 #: Kinds of a ground plan's shapes, from the lowest.
@@ -181,7 +210,7 @@ class PlanShape(Strict):
     """Shape of a ground plan: a filled outline, or a line."""
 
     kind: PlanKind
-    points: Annotated[tuple[_Point, ...], Field(max_length=MOST_POINTS)]
+    points: Annotated[tuple[Point, ...], Field(max_length=MOST_POINTS)]
     filled: bool
 
 
@@ -189,8 +218,10 @@ class PlanReply(Strict):
     """Ground plan of a simulated robot's world, in the coordinates of its poses."""
 
     world: str
-    start: _Point
-    victim: _Point
+    start: Point
+    victim: Point
+    #: Free way from the start to the victim; empty without one.
+    route: Annotated[tuple[Point, ...], Field(max_length=MOST_POINTS)] = ()
     shapes: Annotated[tuple[PlanShape, ...], Field(max_length=MOST_SHAPES)]
 
 

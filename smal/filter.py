@@ -242,14 +242,18 @@ class Filter:
         _ = visual_map.repeated(0.0)
         self.reset()
 
-    def reset(self, belief: Belief | None = None) -> None:
+    def reset(self, belief: Belief | None = None, seed: int | None = None) -> None:
         """Start a new episode.
 
         Parameters
         ----------
         belief : Belief, optional
             Belief to start from (a summary is enough). By default the robot starts at the beginning of a drive.
+        seed : int, optional
+            Seed of this and the following episodes; by default as before.
         """
+        if seed is not None:
+            self._seed = seed
         self._rng = np.random.default_rng(self._seed)
         self._tracked = self._at_starts()
         self._jumped: Particles | None = None

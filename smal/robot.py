@@ -126,9 +126,17 @@ class Localizer:
         self._near = (mapped.key_goals == goal) & near_end
         self.reset()
 
-    def reset(self, belief: Belief | None = None, pose: Sequence[float] | None = None) -> None:
-        """Start a new episode, optionally from a belief and the odometry pose at its frame."""
-        self._filter.reset(belief)
+    def reset(
+        self,
+        belief: Belief | None = None,
+        pose: Sequence[float] | None = None,
+        seed: int | None = None,
+    ) -> None:
+        """Start a new episode, optionally from a belief and the odometry pose at its frame.
+
+        The seed is that of this and the following episodes; by default it stays.
+        """
+        self._filter.reset(belief, seed)
         self._pitch.reset(0.0 if belief is None else belief.pitch_deg)
         self._pose = pose if self._map.odometry else None
         self._last_picture: Float32s | None = None
@@ -410,9 +418,15 @@ class Robot:
         self._planner = Planner(model.mapped, goal)
         self.reset()
 
-    def reset(self) -> None:
-        """Start a new episode."""
-        self._localizer.reset()
+    def reset(self, seed: int | None = None) -> None:
+        """Start a new episode.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Seed of the filter's noise in this and the following episodes; by default as before.
+        """
+        self._localizer.reset(seed=seed)
         self._planner.reset()
         #: Motion since the last image: the result of `step`, unless the caller sets another motion or an atom.
         self.executed: Atom | Motion = STANDS

@@ -80,6 +80,8 @@ def demo(
             raise UsageError("--browser: unsupported with --connect; open the page of that stack")
         taught = {"drives": drives, "runs": runs, "seed": seed}
         options.refuse(taught, "with --browser, where you drive by yourself; leave it out")
+    else:
+        stack.refuse_secure()
     out = out or Path(f"out/demo-{time.strftime('%Y%m%d-%H%M%S')}")
     outputs.make_folder(out, "--out")
     if browser:

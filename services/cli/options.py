@@ -237,10 +237,18 @@ class RunOptions:
         return ServiceSettings(robot=self.robot, router=self.connect, secure=self.secure)
 
     def refuse(self, simulator: Simulator, modalities: FeatureSettings | None = None) -> None:
-        """Raise UsageError if an option conflicts with `connect`."""
+        """Raise UsageError if an option conflicts with `connect`, or needs it."""
+        self.refuse_secure()
         if self.connect is not None:
             given = asdict(simulator) | {"modalities": modalities}
             refuse(given, "with --connect; give it to `smal up`")
+
+    def refuse_secure(self) -> None:
+        """Raise UsageError for certificates without `connect`: only this machine reaches a new stack."""
+        if self.secure is not None and self.connect is None:
+            raise UsageError(
+                f"--secure {self.secure}: requires --connect; leave it out (or unset SMAL_SECURE)"
+            )
 
     def world(self, world: str | None) -> tuple[str, str | None]:
         """Return the world of a new stack, and the world name to require of the robot, if any."""

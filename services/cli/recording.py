@@ -190,6 +190,8 @@ def _said(episode: EpisodeContents) -> Iterator[tuple[str, str]]:
             f"{said['purpose']} to {said['goal']} in {said['world']}, seed {said['seed']}",
         )
         yield "outcome", f"{episode.outcome or 'end not recorded'}{judge}"
+        if episode.kidnapped:
+            yield "kidnapped", f"before frame {', '.join(map(str, episode.kidnapped))}"
         yield "driver", f"{said['driver']}{ticks and f' (ticks: {ticks})'}"
     way = "" if episode.odometry_m is None else f", {episode.odometry_m:.1f} m by odometry"
     yield "length", f"{episode.seconds:.1f} s, {episode.frames} frames{way}"

@@ -38,8 +38,8 @@ class Runs:
     start: Annotated[
         Start,
         Option(
-            help="Start: near the world's start, the same turned round, or anywhere beside the "
-            "route."
+            help="Start: near the world's start, the same turned round, anywhere beside the "
+            "route, or where a simulated robot stands."
         ),
     ] = "start"
     kidnap: Annotated[
@@ -227,6 +227,7 @@ def summarize(world: str | None, records: list[EpisodeRecord]) -> dict[str, Any]
                 "seed": record.request.seed,
                 "outcome": record.outcome,
                 "right": record.right,
+                "kidnapped": record.kidnapped,
                 "ticks": record.ticks,
                 "decisions": len(record.decisions),
                 "unknown": len(record.unrecognized),

@@ -299,11 +299,14 @@ def _chosen_body(
     """Return the body, with flags for its root folder; UsageError for options that it does not have."""
     module = body.other()
     base = body.base()
+    given = {"world": world, **asdict(simulator)}
+    if body.body == _NONE:
+        options.refuse(given, f"by --robot-body {_NONE}; leave it out")
+        return _Chosen(_NONE, {}, ())
     if module is None and base is None:
         place = world or options.DEFAULT_WORLD
         options.read_world(place)
         return _Chosen(place, {}, (*simulator.flags(place), *below))
-    given = {"world": world, **asdict(simulator)}
     options.refuse(given, f"by {module or body.body}; leave it out")
     if size.robots > 1:
         raise UsageError(f"--robots: unsupported: {module or body.body} is one robot")

@@ -7,7 +7,17 @@ from pydantic import Field, TypeAdapter
 from schemas.base import Strict
 from schemas.command import Share
 from schemas.episode import Box, GoalName, Victim
-from schemas.rpc import MAX_TICKS, EpisodeName, FileName, Scheme, Start, WorldName
+from schemas.rpc import (
+    MAX_TICKS,
+    EpisodeName,
+    FileName,
+    HeadingRad,
+    Metres,
+    Point,
+    Scheme,
+    Start,
+    WorldName,
+)
 
 #: File name without folder and suffix.
 Label = Annotated[str, Field(pattern=r"^\w[\w .-]{0,63}$")]
@@ -90,6 +100,23 @@ class Run(Begin):
     kidnap_tick: Annotated[int, Field(ge=1, le=MAX_TICKS)] | None = None
 
 
+class Carry(Asked):
+    """Carry the simulated robot to a pose in its world."""
+
+    do: Literal["carry"]
+    x_m: Metres
+    y_m: Metres
+    heading_rad: HeadingRad
+
+
+class ChooseTask(Asked):
+    """Choose start and goal in the world of the simulated robot."""
+
+    do: Literal["task"]
+    start: Point
+    goal: Point
+
+
 class LearnRequest(Asked):
     """Learn a model from recordings, under a name."""
 
@@ -122,7 +149,7 @@ class Rename(Asked):
     name: Label
 
 
-Ask = Press | End | DriveRequest | Run | LearnRequest | Add | Delete | Rename
+Ask = Press | End | DriveRequest | Run | Carry | ChooseTask | LearnRequest | Add | Delete | Rename
 OF_WATCHERS: TypeAdapter[SeenRequest | StopRequest] = TypeAdapter(
     Annotated[SeenRequest | StopRequest, Field(discriminator="do")]
 )

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from schemas.base import MAX_TICK
 from schemas.codec import printable
 from schemas.rpc import FileName
-from services.console.listing import ListedRecording, Reader
+from services.console.listing import ListedRecording, Reader, RecordedMoments
 from services.kit.node import ServiceError
 from services.kit.root import OutsideError, below, open_below
 from services.recordings.recorded import episode_of
@@ -67,12 +67,17 @@ class Library:
         self._recordings: dict[_File, ListedRecording] = {}
         self._models: dict[_File, LearnedModel] = {}
         self._reader = Reader()
+        # Moments of the recording that was asked for last, and their reader.
+        self._moments: tuple[ListedRecording, RecordedMoments] | None = None
+        self._moments_lock = Lock()
+        self._moments_reader = Reader()
         self._closed = Event()
 
     def close(self) -> None:
         """Stop a running ``look`` soon."""
         self._closed.set()
         self._reader.stop()
+        self._moments_reader.stop()
 
     def look(self, show: Callable[[dict[str, object]], None] = lambda _: None) -> dict[str, object]:
         """List the files for the page; ``show`` receives partial lists during the reading."""
@@ -113,6 +118,14 @@ class Library:
     def recording(self, name: str) -> ListedRecording | None:
         """Return a recording by name."""
         return next((one for one in self.recordings() if one.name == name), None)
+
+    def moments(self, recording: ListedRecording) -> RecordedMoments:
+        """Return moments of a listed recording; thread-safe, RecordingError if it is unreadable."""
+        with self._moments_lock:
+            if self._moments is None or self._moments[0] is not recording:
+                with closing(self._moments_reader) as reader:
+                    self._moments = recording, reader.moments(self.path(recording.name))
+            return self._moments[1]
 
     def model(self, name: str) -> LearnedModel:
         """Return a usable model by name; raises ServiceError without one."""

@@ -5,12 +5,12 @@ import multiprocessing
 import os
 import resource
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final, NamedTuple, cast
 
 from schemas.base import TICK_S
 from schemas.codec import printable
@@ -27,6 +27,9 @@ from services.recordings.stream import RecordingError
 # Number of pictures along a drive, and their width; six fill a row of the list.
 THUMBNAILS = 6
 _WIDTH = 160
+# Number of pictures of a replayed run, and their width.
+_MOMENTS: Final = 60
+_MOMENT_WIDTH: Final = 320
 #: Limit of processor time for a file, seconds: a drive of 4 hours takes 15 s. Wall time would
 #: include other load.
 READ_S: Final = 120
@@ -52,6 +55,7 @@ class ListedRecording:
     outcome: str | None = None
     # Whether a person took over during a run, which makes the run a lesson.
     corrected: bool = False
+    kidnapped: int = 0  # How often the robot was moved elsewhere.
     frames: int = 0
     seconds: float = 0.0
     useless: str = ""  # Reason why it cannot teach; empty if it can.
@@ -67,6 +71,22 @@ class ListedRecording:
         return shown | {"thumbnails": len(self.thumbnails)}
 
 
+class RecordedMoment(NamedTuple):
+    """A moment of a recorded episode, with its picture as JPEG."""
+
+    seconds: float
+    pose: tuple[float, float, float] | None  # Metres and radians.
+    picture: bytes
+
+
+@dataclass(frozen=True)
+class RecordedMoments:
+    """Moments along an episode; ``true``: in the frame of the world, else of its odometry."""
+
+    true: bool = False
+    moments: tuple[RecordedMoment, ...] = ()
+
+
 class Reader:
     """Reads recordings one at a time in a child process, for one thread (except ``stop``)."""
 
@@ -75,14 +95,24 @@ class Reader:
 
     def read(self, path: Path, listed: ListedRecording) -> ListedRecording:
         """Return the entry with the content of the file, or with the reason of a failure."""
+        try:
+            return cast("ListedRecording", self._call(read, path, listed))
+        except RecordingError as error:
+            return replace(listed, useless=str(error))
+
+    def moments(self, path: Path) -> RecordedMoments:
+        """Return moments along the recorded episode; RecordingError if it cannot be read."""
+        return cast("RecordedMoments", self._call(read_moments, path))
+
+    def _call(self, function: Callable[..., object], *arguments: object) -> object:
         process, ours = self._process = self._process or _started()
         with suppress(EOFError, OSError):
-            ours.send((path, listed))
-            return cast("ListedRecording", ours.recv())
+            ours.send((function, arguments))
+            return ours.recv()
         self.close()
         too_long = process.exitcode == -signal.SIGXCPU
         why = f"it takes more than {READ_S} s" if too_long else "the reading process has died"
-        return replace(listed, useless=f"cannot be read: {why}")
+        raise RecordingError(f"cannot be read: {why}")
 
     def stop(self) -> None:
         """End the current reading, from any thread."""
@@ -114,9 +144,9 @@ def _read_all(connection: Connection) -> None:
         Path("/proc/self/oom_score_adj").write_text(_ENDED_FIRST)
     with suppress(EOFError, OSError):
         while True:
-            path, listed = connection.recv()
+            function, arguments = connection.recv()
             end_after(READ_S)
-            connection.send(read(path, listed))
+            connection.send(function(*arguments))
 
 
 def end_after(limit_s: int) -> None:
@@ -146,9 +176,10 @@ def read(path: Path, listed: ListedRecording) -> ListedRecording:
     return replace(
         listed,
         corrected=episode.purpose == "run" and by_hand,
+        kidnapped=len(episode.kidnapped),
         seconds=(ticks[-1] - ticks[0]) * TICK_S if ticks else 0.0,
         useless=useless or "",
-        thumbnails=tuple(_thumbnails(episode, ticks)),
+        thumbnails=tuple(jpeg for _, jpeg in _pictures(episode, THUMBNAILS, _WIDTH)),
         path=tuple((_route(episode.poses) if episode.poses else driven).points),
         metres=driven.metres,
         **same,
@@ -162,11 +193,28 @@ def _route(poses: Mapping[int, Odometry] | Mapping[int, TruePose]) -> DrivenRout
     return route
 
 
-def _thumbnails(episode: RecordedEpisode, ticks: list[int]) -> Iterator[bytes]:
-    count = min(THUMBNAILS, len(ticks))
+def read_moments(path: Path) -> RecordedMoments:
+    """Return moments along the episode of a file; empty without a readable episode."""
+    try:
+        episode, *_ = read_recording(path, topics=(JPEG, ODOMETRY, POSE)).episodes
+    except RecordingError:
+        return RecordedMoments()
+    poses = episode.poses or episode.odometry
+    first = min(episode.images)
+    moments = tuple(
+        RecordedMoment((tick - first) * TICK_S, poses[tick].pose if tick in poses else None, jpeg)
+        for tick, jpeg in _pictures(episode, _MOMENTS, _MOMENT_WIDTH)
+    )
+    return RecordedMoments(bool(episode.poses), moments)
+
+
+def _pictures(episode: RecordedEpisode, most: int, width: int) -> Iterator[tuple[int, bytes]]:
+    """Yield pictures along an episode with their ticks; damaged pictures are left out."""
+    ticks = sorted(episode.images)
+    count = min(most, len(ticks))
     for k in range(count):
         tick = ticks[round(k * (len(ticks) - 1) / max(count - 1, 1))]
         try:
-            yield encode_jpeg(shrunk(decode_image(bytes(episode.images[tick])), _WIDTH))
+            yield tick, encode_jpeg(shrunk(decode_image(bytes(episode.images[tick])), width))
         except ValueError as error:
             _log.warning("%s, frame %d: %s", episode.episode, tick, error)

@@ -106,8 +106,8 @@ class LiveContent:
         self._way_of = ""
         self._driven = DrivenRoute()  # By odometry, which every robot has.
         self._driven_of = ""
-        # World and variation of the shown ground plan: a variation moves furniture.
-        self._planned: tuple[object, object] = (None, None)
+        # World, variation and task of the shown ground plan: a variation moves furniture.
+        self._planned: tuple[object, ...] = ()
         self._obstacles = ObstacleMemory()
         self._seen_s = -math.inf  # Time of the last frame.
         node.subscribe(topics.JPEG, self._on_image, depth=1)
@@ -118,7 +118,7 @@ class LiveContent:
         node.subscribe(topics.TRACKED, self._on_tracked)
         node.apart(_LOOK_S, self._look_at_services)
         node.apart(_LOOK_S, self._look_at_files)
-        node.apart(_PEEK_S, self._peek)
+        node.apart(_PEEK_S, self.peek)
 
     def _on_image(self, image: CompressedImage) -> None:
         if is_jpeg(image.data):
@@ -131,15 +131,19 @@ class LiveContent:
         self._board.show(jpeg)
         self._put("camera")
 
-    def _peek(self) -> None:
-        """Show the camera image between episodes, if there are watchers."""
+    def peek(self) -> None:
+        """Show camera image and place of the robot between episodes, if there are watchers; blocks."""
         last_s = self._seen_s
         if not self._board.watchers or self._board.clock() - last_s < _PEEK_S:
             return
         with suppress(RpcError):
-            seen = self.health.bus.call("robot", "look", Nothing(), LookReply).picture
-            if seen is not None and is_jpeg(seen) and last_s == self._seen_s:
-                self._show(seen)
+            seen = self.health.bus.call("robot", "look", Nothing(), LookReply)
+            if last_s != self._seen_s:
+                return
+            if seen.pose is not None:
+                self._put("stands", pose=_rounded(*seen.pose))
+            if seen.picture is not None and is_jpeg(seen.picture):
+                self._show(seen.picture)
 
     def _look_around(self, episode: str) -> None:
         """Show obstacles from the depth camera, if there are watchers."""
@@ -225,7 +229,7 @@ class LiveContent:
     def _look_at_world(self) -> None:
         """Show the ground plan of a simulated robot's world."""
         world = self.health.detail("robot", "world")
-        here = (world, self.health.detail("robot", "variation"))
+        here = (world, *(self.health.detail("robot", key) for key in ("variation", "task")))
         if here == self._planned or self.health.detail("robot", "worlds") is None:
             return
         with suppress(RpcError):

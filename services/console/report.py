@@ -39,6 +39,8 @@ def report_page(recording: ListedRecording) -> str:
         "frames": recording.frames,
         "world": recording.world or "unknown",
     }
+    if recording.kidnapped:
+        facts["kidnapped"] = "once" if recording.kidnapped == 1 else f"{recording.kidnapped} times"
     return _template().render(
         title=f"{kind} to {recording.goal or 'an unknown goal'}",
         facts=facts,

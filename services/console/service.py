@@ -16,6 +16,7 @@ from schemas.action import Action
 from schemas.base import Velocity
 from schemas.codec import printable
 from schemas.rpc import (
+    CarryRequest,
     LoadReply,
     LoadRequest,
     Nothing,
@@ -23,11 +24,14 @@ from schemas.rpc import (
     ResetReply,
     ResetRequest,
     Status,
+    TaskRequest,
 )
 from services.console.browser_messages import (
     LATE,
     Add,
     Ask,
+    Carry,
+    ChooseTask,
     Delete,
     DriveRequest,
     End,
@@ -180,6 +184,11 @@ class ConsoleService:
                 self._drive(ask)
             case Run():
                 self._run(ask)
+            case Carry():
+                pose = CarryRequest(x_m=ask.x_m, y_m=ask.y_m, heading_rad=ask.heading_rad)
+                self._operator.place(pose, self.live.peek)
+            case ChooseTask():
+                self._operator.place(TaskRequest(start=ask.start, goal=ask.goal), self.live.peek)
             case LearnRequest() | Add():
                 self._learn(ask)
             case Delete():

@@ -1,6 +1,7 @@
 """HTTP and WebSocket endpoints of the page: files, pictures, uploads, watching, driving."""
 
 import asyncio
+import base64
 import tempfile
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import suppress
@@ -11,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import HTMLResponse, PlainTextResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
@@ -25,6 +26,7 @@ from services.console.report import POLICY, report_page
 from services.console.service import ConsoleService
 from services.console.who_drives import BEAT_S, LEASE_S, Seat
 from services.kit.world_files import HEAD_BYTES, largest_upload
+from services.recordings.stream import RecordingError
 
 PAGE: Final = Path(__file__).parent / "page"
 _APART_S: Final = 0.05  # Minimum interval of updates to a watcher.
@@ -35,6 +37,7 @@ NONSENSE = 4003
 _DIGITS: Final = 9  # Maximum digits of a picture's number.
 # Timeout of the upload of a map or scan (2 Mbit/s or more).
 _UPLOAD_S: Final = 600
+_NO_RECORDING: Final = "recording not found; it was deleted or renamed\n"
 _NOT_THEIRS: Final = "permission denied: take control first\n"
 _WORLD_NAME: Final[TypeAdapter[str]] = TypeAdapter(WorldName)
 
@@ -58,6 +61,7 @@ class Web:
             routes=[
                 Route("/thumbnail", self._thumbnail),
                 Route("/report", self._report),
+                Route("/moments", self._moments),
                 Route(MAP, self._take_upload, methods=["POST"]),
                 Route("/taught/{model}/{keyframe}", self._taught),
                 WebSocketRoute("/watch", self._watch),
@@ -81,8 +85,24 @@ class Web:
         """Return the report of a listed recording, a page that can be saved and sent as one file."""
         recording = self._service.library.recording(request.query_params.get("of", ""))
         if recording is None:
-            return PlainTextResponse("recording not found; it was deleted or renamed\n", 404)
+            return PlainTextResponse(_NO_RECORDING, 404)
         return HTMLResponse(report_page(recording), headers={"Content-Security-Policy": POLICY})
+
+    async def _moments(self, request: Request) -> Response:
+        """Return pictures and poses along a listed recording, for the card of a finished run."""
+        library = self._service.library
+        recording = library.recording(request.query_params.get("of", ""))
+        if recording is None:
+            return PlainTextResponse(_NO_RECORDING, 404)
+        try:
+            found = await asyncio.to_thread(library.moments, recording)
+        except (RecordingError, OSError) as error:
+            return PlainTextResponse(f"{recording.name}: {error}\n", 404)
+        moments = [
+            {"s": one.seconds, "here": one.pose, "picture": base64.b64encode(one.picture).decode()}
+            for one in found.moments
+        ]
+        return JSONResponse({"metres": recording.metres, "true": found.true, "moments": moments})
 
     async def _taught(self, request: Request) -> Response:
         learned = self._service.live.learned

@@ -16,6 +16,7 @@ def condition(run: Mapping[str, Any], more: Mapping[str, object] = MappingProxyT
     differences = dict(more) | {
         "from anywhere": run["start"] == "anywhere",
         "turned round": run["start"] == "turned",
+        "from where it stood": run["start"] == "here",
         "kidnapped": run["kidnap_tick"],
         f"victim {run['victim']}": run["victim"] != "there",
         counted(run["obstacles"], "obstacle"): run["obstacles"],

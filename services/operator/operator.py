@@ -19,12 +19,14 @@ from schemas.heartbeat import Heartbeat, Pulse
 from schemas.rpc import (
     ArmRequest,
     CancelRequest,
+    CarryRequest,
     EndRequest,
     Nothing,
     ResetReply,
     ResetRequest,
     ResumeRequest,
     Status,
+    TaskRequest,
 )
 from services.kit.bus import RpcError
 from services.kit.errors import JobError
@@ -98,6 +100,7 @@ class Report:
     # Duration of the running episode, or of the last one; None if its start was not received.
     seconds: float | None = None
     moved: bool | None = None  # Whether it has driven ahead or back; None if unknown.
+    kidnapped: int = 0  # How often it was kidnapped in the running episode, or in the last one.
 
 
 class Operator:
@@ -155,7 +158,7 @@ class Operator:
         news = {name: getattr(applied, name) for name in _APPLIED}
         if applied.episode != self.report.episode:
             # It began before this process, so its details are unknown.
-            news |= dict.fromkeys(_UNKNOWN)
+            news |= dict.fromkeys(_UNKNOWN) | {"kidnapped": 0}
         else:
             news["seconds"] = self._seconds()
             if applied.linear and self.report.moved is not None:
@@ -182,6 +185,7 @@ class Operator:
                 episode=event.episode,
                 seconds=0.0,
                 moved=False,
+                kidnapped=0,
             )
         elif event.event == "ended":
             self._note(**told, at=self._clock(), episode=None, seconds=self._seconds())
@@ -189,6 +193,8 @@ class Operator:
             if event.episode == self.mine:
                 self.mine = None
         else:
+            if event.event == "kidnapped":
+                self._note(kidnapped=self.report.kidnapped + 1)
             self._say(f"{named}, frame {event.tick}: {event.event.replace('_', ' ')}")
 
     def _on_pulse(self, pulse: Pulse) -> None:
@@ -207,8 +213,9 @@ class Operator:
         if now - self._heard_s > SILENCE_S:
             self._note(answers=False)
         elif self._pulses and now - self._applied_s >= LOOK_S:
-            _, pulse = self._pulses[-1]
-            if pulse.episode == NO_EPISODE:
+            heard_s, pulse = self._pulses[-1]
+            # On a busy machine the last pulse can be from before the start of the episode.
+            if pulse.episode == NO_EPISODE and heard_s > self._began_s:
                 self.commands.no_episode()
                 self._note(at=now, answers=True, episode=None, cause=pulse.stop_cause)
             self._node.publish(self.commands.told(pulse.latched_stop))
@@ -383,6 +390,19 @@ class Operator:
         if self.mine is not None:
             request = EndRequest(episode=self.mine, said=said, session=self._node.session)
             self.ask(lambda: self._call("end", request))
+
+    def place(
+        self, request: CarryRequest | TaskRequest, placed: Callable[[], None] = lambda: None
+    ) -> None:
+        """Carry a simulated robot, or choose its task; then call ``placed``, on another thread."""
+        verb = "carry" if isinstance(request, CarryRequest) else "task"
+
+        def ask() -> None:
+            self._call(verb, request.model_copy(update={"session": self._node.session}))
+            placed()
+
+        if self._may_ask():
+            self.ask(ask)
 
     # -- requests ----------------------------------------------------------------------------------
 

@@ -68,6 +68,7 @@ class EpisodeContents:
     said: dict[str, str | int] = field(default_factory=dict)
     outcome: str | None = None
     judge: str | None = None  # Source of the outcome.
+    kidnapped: list[int] = field(default_factory=list)  # Ticks before which the robot was moved.
     #: Ticks by the source of the last command applied in them.
     drove: dict[str, int] = field(default_factory=dict)
     topics: defaultdict[str, Counted] = field(default_factory=lambda: defaultdict(Counted))
@@ -217,6 +218,8 @@ class _Reading:
             case Episode():
                 episode.said = {name: getattr(message, name) for name in _SAID}
                 self._began |= message.event == "started"
+                if message.event == "kidnapped":
+                    episode.kidnapped.append(message.tick)
                 if message.event == "ended":
                     episode.outcome = message.outcome
                     episode.judge = message.judge

@@ -230,6 +230,8 @@ def unusable(episode: RecordedEpisode, *, include_runs: bool) -> str | None:
     if episode.purpose == "run" and episode.outcome != "found":
         ended = episode.outcome or "end not recorded"
         return f"the robot drove by itself without success ({ended})"
+    if episode.kidnapped:
+        return f"the robot was kidnapped (frame {episode.kidnapped[0]}), unknown to its odometry"
     if episode.outcome == "collision":
         return "collision"
     if episode.purpose == "drive" and episode.outcome in ("timeout", "aborted"):

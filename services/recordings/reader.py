@@ -79,6 +79,8 @@ def _take(episode: RecordedEpisode, stored: StoredMessage) -> None:
             episode.goal = message.goal
             episode.purpose = message.purpose
             episode.driver = message.driver
+            if message.event == "kidnapped":
+                episode.kidnapped.append(tick)
             if message.event == "ended":
                 episode.outcome = message.outcome
                 episode.end_tick = tick

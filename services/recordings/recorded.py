@@ -28,6 +28,8 @@ class RecordedEpisode:
     outcome: Outcome | None = None
     end_tick: int | None = None
     box: Box | None = None  # The goal in the last frame.
+    #: Ticks before which the robot was kidnapped.
+    kidnapped: list[int] = field(default_factory=list)
     #: As recorded, for ``encoding.decode_image``.
     images: dict[int, memoryview] = field(default_factory=dict)
     odometry: dict[int, Odometry] = field(default_factory=dict)

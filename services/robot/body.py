@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from typing import Final, NamedTuple, Protocol, TypeVar
+from typing import Final, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -164,6 +164,21 @@ class Body(Stops, Protocol[V_co]):
 
     def detail(self) -> Detail:
         """Return the body's part of the robot's status; thread-safe."""
+
+
+@runtime_checkable
+class Carriable(Protocol):
+    """Part of a simulated body that a person can carry elsewhere, and give another task."""
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """Ground truth: metres, and radians from east."""
+
+    def carry(self, x_m: float, y_m: float, heading_rad: float) -> None:
+        """Move the robot elsewhere at rest; ServiceError if the place is not free."""
+
+    def choose_task(self, start: tuple[float, float], goal: tuple[float, float]) -> None:
+        """Move start and goal of the world, metres; ServiceError without a free way."""
 
 
 def check_conditions(body: Body[View], request: ResetRequest) -> None:

@@ -332,6 +332,13 @@ class CommandGate:
             return "another session"
         return None
 
+    @property
+    def answered_s(self) -> float | None:
+        """Capture time of the last frame for which the driver has commanded, if any."""
+        with self._lock:
+            latest = self._latest.get(self._driver)
+            return None if latest is None else latest.captured_s
+
     def expect_anybody(self) -> None:
         """End the leases: in lockstep time stands, and a restarted driver must be accepted."""
         with self._lock:

@@ -4,6 +4,7 @@ Any simulator is a body here: `SteppedBody` needs its start, its step and its vi
 """
 
 import math
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
@@ -20,7 +21,7 @@ from services.kit.jpeg import encode_jpeg
 from services.kit.node import Detail, Node
 from services.kit.process import configure_logging, read_settings, run_service
 from services.robot.body import Beginning, Body, ImuReading, Kinematics, OdometryReading, View
-from services.robot.clock import now_s
+from services.robot.clock import Clocks, SimulatedClock, now_s
 from services.robot.episode import RunningEpisode
 from services.robot.gate import bounded
 from services.robot.guard import guard_of
@@ -45,6 +46,14 @@ class Steppable(Body[V_co], Protocol[V_co]):
         """Move the robot at a velocity for a duration, which is its ``frame_s``."""
 
 
+class PosedView(View, Protocol):
+    """A view of a simulator, which knows where the robot is."""
+
+    @property
+    def true_pose(self) -> tuple[float, float, float]:
+        """Ground truth: x, y in metres, heading in radians."""
+
+
 class SteppedEpisode(RunningEpisode[V]):
     """An episode in this process, with the same poses as an episode over messages."""
 
@@ -60,6 +69,11 @@ class SteppedEpisode(RunningEpisode[V]):
     def kinematics(self) -> Kinematics:
         """Limits of the robot's motion."""
         return self._steppable.kinematics
+
+    @property
+    def mount(self) -> Mount | None:
+        """Position of the depth camera."""
+        return self._steppable.mount
 
     def step(self, asked: Atom | Velocity) -> V:
         """Execute an action as far as the gate permits, and return the next view."""
@@ -163,6 +177,13 @@ class StepView:
     def jpeg(self) -> bytes:
         """Camera image as JPEG."""
         return encode_jpeg(self.image)
+
+    @property
+    def true_pose(self) -> tuple[float, float, float]:
+        """Ground truth; ValueError if the simulator does not report it."""
+        if self.pose is None:
+            raise ValueError("the view has no pose; the simulator must report the true pose")
+        return self.pose
 
     def more(self, header: Message, made: Collection[str] = ()) -> Iterator[Message]:
         """Yield the true pose, if known."""
@@ -270,6 +291,8 @@ def serve_body(make: Callable[[], SteppedBody], task: Task[StepView] | None = No
             body = make()
             return body, {"lockstep": lambda: Lockstep(body)}
 
-        serve_robot(settings, open_body, task or SimulatorsTask())
+        clock = SimulatedClock()
+        clocks = Clocks(clock, time.time_ns, clock.hold)
+        serve_robot(settings, open_body, task or SimulatorsTask(), clocks=clocks)
 
     run_service(ROBOT, serve)

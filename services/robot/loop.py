@@ -125,7 +125,8 @@ class ActuatorLoop:
         while not self._ended.wait(max(0.0, due_s - self._clock())):
             now = self._clock()
             self.late += now - due_s > PERIOD_S
-            due_s = max(due_s + PERIOD_S, now)
+            # A simulated clock can stand still meanwhile.
+            due_s = max(min(due_s, now) + PERIOD_S, now)
             self.step()
 
     def _stand(self) -> None:

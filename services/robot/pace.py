@@ -1,5 +1,6 @@
 """Passing of time in an episode: real time here, `lockstep` beside it."""
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -10,11 +11,15 @@ from schemas.command import CommandApplied
 from schemas.rpc import Mode, ResetRequest
 from services.kit.node import Detail
 from services.robot.body import Body, View
+from services.robot.clock import CLOCKS, SILENCE_S
 from services.robot.episode import RunningEpisode
 from services.robot.gate import Applied, CommandGate
-from services.robot.loop import ActuatorLoop
+from services.robot.loop import PERIOD_S, ActuatorLoop
 from services.robot.radio import RadioWindow
 
+#: Age of an unanswered frame at which a simulated clock waits for its answer, seconds: the command
+#: for the frame before, a tick earlier, expires with the next step of the loop.
+ANSWER_S: Final = SILENCE_S - TICK_S - PERIOD_S
 #: Maximum changes of motion that are reported after an outage: 10 s at 50 changes a second.
 CHANGES_KEPT: Final = 500
 V = TypeVar("V", bound=View)
@@ -34,6 +39,7 @@ class Running(Generic[V]):
     client_s: float  # Time of the last heartbeat of the client that began it.
     client_beat: int = -1  # Sequence number of that heartbeat.
     found: bool = False  # Whether the goal has been reached in any frame.
+    carried: bool = False  # Whether the robot was carried elsewhere since the last frame.
     applied: Applied | None = None
     said: int = 0  # Number of reports of the motion in this tick.
     #: Times at which recent frames were ready, and the latency of each source's last accepted
@@ -106,7 +112,8 @@ Paces = Mapping[Mode, Callable[[], Pace[V]]]
 class RealTime(Generic[V]):
     """Real time: a frame every ``frame_s``, while a loop drives; ``wake`` requests a `poll`.
 
-    While the robot is ``deaf`` to stops or commands it stands.
+    While the robot is ``deaf`` to stops or commands it stands. ``hold`` lets the clock of a simulated
+    robot wait for a frame that is late, and for the answer of a program that drives.
     """
 
     def __init__(
@@ -117,14 +124,16 @@ class RealTime(Generic[V]):
         wake: Callable[[], None],
         frame_s: float = TICK_S,
         deaf: Callable[[], bool] = lambda: False,
+        hold: Callable[[float], None] = CLOCKS.hold,
     ) -> None:
         self._deaf = deaf
+        self._hold = hold
         self._frame_s = frame_s
         self._clock = clock
         self._wake = wake
         self._changes: deque[Applied] = deque(maxlen=CHANGES_KEPT)
         self.loop = ActuatorLoop(gate, body, self._note, clock, deaf)
-        self._due_s = 0.0
+        self._begun_s = self._due_s = 0.0
         self.late = 0
 
     @property
@@ -150,13 +159,15 @@ class RealTime(Generic[V]):
 
     def begin(self) -> None:
         """Start the loop."""
-        self._due_s = self._clock() + self._frame_s
+        self._begun_s = self._clock()
+        self._due_s = self._begun_s + self._frame_s
         self.loop.start()
 
     def poll(self, runner: Teller[V], run: Running[V]) -> Iterator[Message]:
         """Report changes of motion, and take the next frame if it is due."""
         while self._changes:
             yield runner.tell(run, self._changes.popleft())
+        self._wait_for(runner, run)
         now = self._clock()
         if now < self._due_s:
             return
@@ -168,6 +179,17 @@ class RealTime(Generic[V]):
         if run is runner.running:
             yield runner.tell(run, runner.gate.applied(self._clock(), deaf=self._deaf()))
 
+    def _wait_for(self, runner: Teller[V], run: Running[V]) -> None:
+        """Set the time at which the clock of a simulated robot waits."""
+        until_s = self._due_s + self._frame_s
+        gate = runner.gate
+        # A person answers no frame.
+        if run.request.driver != "teleop" and not (gate.taken_over or gate.latched_stop):
+            answered_s = max(gate.answered_s or -math.inf, self._begun_s)
+            until_s = min(until_s, answered_s + self._frame_s + ANSWER_S)
+        self._hold(until_s)
+
     def end(self) -> None:
         """Stop the loop, which leaves the robot standing."""
+        self._hold(math.inf)
         self.loop.close()

@@ -14,17 +14,19 @@ from schemas.heartbeat import Heartbeat, Pulse
 from schemas.rpc import (
     ArmRequest,
     CancelRequest,
+    CarryRequest,
     EndRequest,
     Mode,
     ResetReply,
     ResetRequest,
     ResumeRequest,
+    TaskRequest,
 )
 from services.kit.cameras import camera_info
 from services.kit.jpeg import decode_jpeg, encode_jpeg, jpeg_size
 from services.kit.node import ServiceError
 from services.robot import radio
-from services.robot.body import Body, OdometryReading, View
+from services.robot.body import Body, Carriable, OdometryReading, View
 from services.robot.cancelling import CancelledError, Cancelling
 from services.robot.clock import CLOCKS, Clocks
 from services.robot.episode import Ended, RunningEpisode
@@ -82,7 +84,7 @@ class EpisodeRunner(Generic[V]):
         self.session = session
         self._paces: dict[Mode, Callable[[], Pace[V]]] = {
             "realtime": lambda: RealTime(
-                gate, body, clocks.monotonic_s, self.wake, self.frame_s, self.deaf
+                gate, body, clocks.monotonic_s, self.wake, self.frame_s, self.deaf, clocks.hold
             ),
             **(paces or {}),
         }
@@ -185,6 +187,38 @@ class EpisodeRunner(Generic[V]):
             things=episode.beginning.things,
         )
         return reply, messages
+
+    def carry(self, request: CarryRequest) -> None:
+        """Carry a simulated robot elsewhere.
+
+        Raises
+        ------
+        ServiceError
+            For another body, during a drive, if an operator denies it, or if the place is not free.
+        """
+        body = self._carriable(request.session)
+        run = self.running
+        if run is not None and run.request.purpose != "run":
+            raise ServiceError("not carried: this drive would teach a wrong way; end it first")
+        body.carry(request.x_m, request.y_m, request.heading_rad)
+        if run is not None:
+            run.carried = True
+
+    def choose_task(self, request: TaskRequest) -> None:
+        """Choose start and goal in the world of a simulated robot; ServiceError as for ``carry``."""
+        body = self._carriable(request.session)
+        if self.running is not None:
+            raise ServiceError("start and goal not chosen: an episode runs; end it first")
+        body.choose_task(request.start, request.goal)
+
+    def _carriable(self, session: str) -> Carriable:
+        body: object = self.body
+        if not isinstance(body, Carriable):
+            raise ServiceError(
+                f"{self.body.name}: unsupported; only a simulated robot can be carried"
+            )
+        self._unless(self.gate.not_theirs(session))
+        return body
 
     def cancel(self, request: CancelRequest) -> None:
         """Cancel an episode that is beginning; thread-safe, ServiceError if idle or denied."""
@@ -313,6 +347,9 @@ class EpisodeRunner(Generic[V]):
         if view.imu is not None:
             yield imu_message(header, view.imu)
         yield from run.frame
+        if run.carried or (tick and tick == run.request.kidnap_tick):
+            run.carried = False
+            yield self._event(run, "kidnapped")
         if run.episode.reached and not run.found:
             run.found = True
             yield self._event(run, "victim_found")

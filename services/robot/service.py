@@ -14,6 +14,7 @@ from schemas.heartbeat import Pulse
 from schemas.rpc import (
     ArmRequest,
     CancelRequest,
+    CarryRequest,
     EndRequest,
     LookReply,
     Nothing,
@@ -21,6 +22,7 @@ from schemas.rpc import (
     ResetRequest,
     ResumeRequest,
     Status,
+    TaskRequest,
 )
 from schemas.topics import COMMANDS, HEARTBEAT, PULSE, Lane
 from services.kit.bus import RpcError
@@ -28,7 +30,7 @@ from services.kit.jpeg import decode_jpeg, encode_jpeg, jpeg_size, shrunk
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.settings import ServiceSettings
 from services.robot import radio
-from services.robot.body import Body, View
+from services.robot.body import Body, Carriable, View
 from services.robot.clock import ABSENT_S, CLOCKS, PULSE_S, Clocks
 from services.robot.gate import MAX_AGE_S, CommandGate
 from services.robot.loop import PERIOD_S, check_stopping
@@ -109,6 +111,8 @@ class RobotService:
         node.serve("resume", ResumeRequest, self.resume)
         node.serve("end", EndRequest, self.end)
         node.serve("look", Nothing, self.look)
+        node.serve("carry", CarryRequest, runner.carry)
+        node.serve("task", TaskRequest, runner.choose_task)
         node.every(PERIOD_S, self.poll)
         node.apart(PULSE_S, runner.pulse)
         node.detail = self.detail
@@ -164,11 +168,14 @@ class RobotService:
         self._publish(self._runner.end_by(request))
 
     def look(self, _: Nothing) -> LookReply:
-        """Return the camera image between two episodes."""
-        jpeg = None if self._runner.running else self._runner.body.peek()
+        """Return the camera image between two episodes, and the pose of a simulated robot."""
+        if self._runner.running:
+            return LookReply()
+        body = self._runner.body
+        jpeg = body.peek()
         if jpeg is not None and (jpeg_size(jpeg) or (0, 0))[0] > PEEK_COLUMNS:
             jpeg = encode_jpeg(shrunk(decode_jpeg(jpeg), PEEK_COLUMNS))
-        return LookReply(picture=jpeg)
+        return LookReply(picture=jpeg, pose=body.pose if isinstance(body, Carriable) else None)
 
     def resume(self, request: ResumeRequest) -> None:
         """Return control to the driver after a person took over."""

@@ -1,10 +1,12 @@
 """Run the simulated robot: ``python -m services.simulator --world campus``."""
 
 import logging
+import time
 
 from schemas.rpc import Nothing
 from services.kit.node import Node
 from services.kit.process import configure_logging, read_settings, run_service
+from services.robot.clock import Clocks, SimulatedClock
 from services.robot.lockstep import Lockstep
 from services.robot.pace import Paces
 from services.robot.service import ROBOT, serve_robot
@@ -23,6 +25,7 @@ def serve() -> None:
     logging.getLogger(ROBOT).info("opening the world %s", settings.world)
     worlds = Worlds(settings)
     simulation = worlds.open()
+    clock = SimulatedClock()
 
     def open_body(node: Node) -> tuple[SimulatedBody, Paces[SimulatedView]]:
         size = f"{settings.camera_width}x{settings.camera_height}"
@@ -33,12 +36,12 @@ def serve() -> None:
             size,
             settings.base,
         )
-        body = SimulatedBody(simulation, wanted=node.bus.has_listeners, worlds=worlds)
+        body = SimulatedBody(simulation, clock, node.bus.has_listeners, worlds)
         node.serve("plan", Nothing, lambda _: plan_of(body.simulation.world))
         return body, {"lockstep": lambda: Lockstep(body)}
 
     task = FindVictim() if settings.task == "victim" else OperatorsTask()
-    serve_robot(settings, open_body, task)
+    serve_robot(settings, open_body, task, clocks=Clocks(clock, time.time_ns, clock.hold))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Simulated robot as a `Body`; in real-time mode its world advances by the clock."""
 
+import math
 from collections.abc import Callable
 from threading import Lock
 from typing import Final
@@ -16,7 +17,7 @@ from services.simulator.base import STEP_S
 from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, SimulatedView
 from services.simulator.simulation import Simulation
 from services.simulator.variation import VARIATIONS
-from services.simulator.world.place import WorldError
+from services.simulator.world.place import Pose, WorldError
 from services.simulator.worlds import Worlds
 from smal.camera import Camera
 
@@ -94,13 +95,13 @@ class SimulatedBody:
                     request.seed, request.purpose, start=request.start, victim=request.victim,
                     obstacles=request.obstacles, people=request.people, blocked=request.blocked,
                 )  # fmt: skip
+                route = tuple((float(x), float(y)) for x, y in self.simulation.route())
             except WorldError as error:
                 raise ServiceError(str(error)) from None
             self._kidnap_tick = request.kidnap_tick
             self._realtime = request.mode == "realtime"
             self._order = STANDING
             self._ordered_s = self._moved_s = self._clock()
-        route = tuple((float(x), float(y)) for x, y in self.simulation.route())
         lies = self.simulation.victim
         outlines = (
             shapely.get_coordinates(one.footprint).tolist() for one in self.simulation.obstacles
@@ -118,6 +119,8 @@ class SimulatedBody:
         elif any(
             wish not in (None, here) for wish, here in zip(wished, self._worlds.here, strict=True)
         ):
+            if request.start == "here":
+                raise ServiceError(f"the robot stands in {self.name}; begin here in that world")
             self._enter(self._worlds.open(*wished))
 
     def drive(self, velocity: Velocity) -> Velocity:
@@ -152,6 +155,35 @@ class SimulatedBody:
         """Move the robot in lockstep."""
         self.simulation.advance(velocity, duration_s)
 
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """Ground truth: metres, and radians from east."""
+        pose = self.simulation.pose
+        return pose.x, pose.y, math.remainder(pose.heading, math.tau)
+
+    def carry(self, x_m: float, y_m: float, heading_rad: float) -> None:
+        """Move the robot elsewhere at rest; ServiceError if the place is not free."""
+        with self._lock:
+            if self._realtime:
+                self._catch_up(self._clock())
+            try:
+                self.simulation.carry(Pose(x_m, y_m, heading_rad))
+            except WorldError as error:
+                raise ServiceError(str(error)) from None
+
+    def choose_task(self, start: tuple[float, float], goal: tuple[float, float]) -> None:
+        """Move start and goal of the world, metres; ServiceError without a free way."""
+        with self._lock:
+            try:
+                self.simulation.choose_task(start, goal)
+            except WorldError as error:
+                raise ServiceError(str(error)) from None
+            world = self.simulation.world
+            if self._worlds is not None:
+                self._worlds.tasks[self._worlds.here[0]] = world.start, world.victim
+            self._order = STANDING
+            self._ordered_s = self._moved_s = self._clock()
+
     def look(self, tick: int) -> SimulatedView:
         """Return the view of a tick; at the kidnap tick the robot is moved first."""
         with self._lock:
@@ -171,7 +203,11 @@ class SimulatedBody:
         if self._worlds is None:
             return {}
         _, variation = self._worlds.here
+        world = self.simulation.world
+        start = world.start
+        victim = world.victim
         return {
+            "task": f"({start.x:.1f}, {start.y:.1f}) to ({victim.x:.1f}, {victim.y:.1f})",
             "variation": variation,
             "variations": ", ".join(VARIATIONS),
             "worlds": ", ".join(self._worlds.names()),

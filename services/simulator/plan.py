@@ -8,7 +8,8 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from schemas.rpc import MOST_POINTS, MOST_SHAPES, PlanKind, PlanReply, PlanShape
-from services.simulator.world.place import World
+from services.simulator.world.place import World, WorldError
+from services.simulator.world.route import plan_route
 from services.simulator.world.terrain import Terrain
 
 _COARSE_M: Final = 0.1  # Details below it are invisible on a map.
@@ -30,7 +31,16 @@ def plan_of(world: World) -> PlanReply:
         PlanShape(kind=kinds[k], points=_points(line), filled=bool(fill))
         for k, line, fill in zip(of[near], lines, filled, strict=True)
     )
-    return PlanReply(world=world.name, start=start, victim=victim, shapes=shapes)
+    return PlanReply(
+        world=world.name, start=start, victim=victim, shapes=shapes, route=_route(world)
+    )
+
+
+def _route(world: World) -> tuple[tuple[float, float], ...]:
+    try:
+        return _points(shapely.LineString(plan_route(world, (world.start.x, world.start.y))))
+    except WorldError:
+        return ()  # The map shows the world all the same.
 
 
 def _drawn(world: World) -> Iterator[tuple[PlanKind, BaseGeometry]]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -18,8 +19,13 @@ from services.simulator.sensors.readings import Sensors
 from services.simulator.variation import DAY, Variation
 from services.simulator.world.obstacles import Obstacle, stand_in_the_way
 from services.simulator.world.people import Person, walk_about
-from services.simulator.world.place import Pose, World
-from services.simulator.world.route import obstacles_of, plan_route
+from services.simulator.world.place import Pose, World, WorldError
+from services.simulator.world.route import (
+    first_pose,
+    obstacles_of,
+    plan_route,
+    route_length_m,
+)
 from services.simulator.world.task import moved_victim, sample_start
 from smal.obstacles.clearance import Mount
 
@@ -107,7 +113,7 @@ class Simulation:
         purpose : Purpose
             Purpose of the episode; sets the scatter of the start.
         start : Start
-            Kind of the start.
+            Kind of the start; "here" keeps the present pose.
         victim : Victim
             Placement of the victim.
         obstacles, people : int
@@ -123,15 +129,11 @@ class Simulation:
         Raises
         ------
         WorldError
-            The world has too little room for these obstacles or people.
+            The world has too little room for these obstacles or people, or for a start here.
         """
         self._seed = seed, _PURPOSE_NUMBER[purpose]
         place, wheels, odometry, imu, shake = (self._chance(stream) for stream in range(5))
-        self.pose = self._start = sample_start(
-            self.world, place, "recovery" if start == "anywhere" else purpose
-        )
-        if start == "turned":
-            self.pose = self._start = self._start.turned_round
+        self.pose = self._start = self._start_pose(start, purpose, place)
         self._obstruct(obstacles, blocked)
         self.people = (
             walk_about(self.world, LineString(self.route()), self._chance(9), people)
@@ -143,6 +145,26 @@ class Simulation:
         self.collided = False
         self._lay(victim)
         return self.pose
+
+    def _start_pose(self, start: Start, purpose: Purpose, chance: np.random.Generator) -> Pose:
+        if start == "here":
+            self._check_room(self.pose)
+            return self.pose
+        pose = sample_start(self.world, chance, "recovery" if start == "anywhere" else purpose)
+        return pose.turned_round if start == "turned" else pose
+
+    def _check_room(self, pose: Pose) -> None:
+        """Raise WorldError if the robot has no room to turn at a pose."""
+        x_min, y_min, x_max, y_max = self.world.place.bounds
+        at = f"({pose.x:.1f}, {pose.y:.1f}) m"
+        if not (x_min < pose.x < x_max and y_min < pose.y < y_max):
+            raise WorldError(f"{at} is outside of {self.name}; choose a place on its map")
+        room_m = self.world.scale.start_room_m
+        if self._away_m(pose) < room_m:
+            raise WorldError(
+                f"no room for the robot at {at}: it needs {room_m:g} m to the nearest obstacle; "
+                "choose a free place"
+            )
 
     def _lay(self, victim: Victim) -> None:
         chance = self._chance(7)
@@ -183,6 +205,41 @@ class Simulation:
         self._base.put(self.pose, self._chance(6))
         return self.pose
 
+    def carry(self, pose: Pose) -> None:
+        """Move the robot to a pose without turning its wheels; WorldError if it is not free."""
+        self._check_room(pose)
+        self.pose = pose
+        self._base.put(pose, self._chance(6))
+
+    def choose_task(self, start: tuple[float, float], goal: tuple[float, float]) -> None:
+        """Move start and victim of the world, and the robot to the start.
+
+        Raises
+        ------
+        WorldError
+            A place is not free, or no free way connects them; the world stays as it is.
+        """
+        before = self.world
+        for x, y in (start, goal):
+            self._check_room(Pose(x, y, 0.0))
+        victim = replace(before.victim, x=goal[0], y=goal[1])
+        route = plan_route(replace(before, victim=victim), start)
+        if route_length_m(route) < self.found_m:
+            raise WorldError(
+                f"start and goal are too close ({route_length_m(route):.1f} m < minimum "
+                f"{self.found_m:g} m); choose them further apart"
+            )
+        try:
+            self._enter(replace(before, start=first_pose(route), victim=victim))
+        except WorldError:
+            self._enter(before)
+            raise
+
+    def _enter(self, world: World) -> None:
+        self.world = world
+        self._seen = world, *self._seen[1:]
+        self.reset(0, "drive")
+
     def _chance(self, stream: int) -> np.random.Generator:
         """Return a random generator of the episode; stream numbers are part of the seed."""
         return np.random.default_rng([*self._seed, stream])
@@ -217,11 +274,15 @@ class Simulation:
     @property
     def clearance_m(self) -> float:
         """Distance from the robot's side to the nearest obstacle, metres; 0 on contact."""
-        here = Point(self.pose.x, self.pose.y)
+        return max(self._away_m(self.pose) - self.world.robot.radius_m, 0.0)
+
+    def _away_m(self, pose: Pose) -> float:
+        """Return the distance from a robot's centre to the nearest obstacle, metres."""
+        here = Point(pose.x, pose.y)
         away_m = [obstacles_of(self.world.place).clearance(here.x, here.y)]
         away_m += [thing.footprint.distance(here) for thing in self.obstacles]
-        away_m += [person.away_m(self.pose) for person in self.people]
-        return max(min(away_m) - self.world.robot.radius_m, 0.0)
+        away_m += [person.away_m(pose) for person in self.people]
+        return min(away_m)
 
     def route(self) -> NDArray[np.float64]:
         """Return the route (k, 2), in metres, from the start of this episode to the victim."""

@@ -16,6 +16,7 @@ from services.simulator.sensors.camera import CameraSettings
 from services.simulator.simulation import Simulation
 from services.simulator.variation import VARIATIONS, variation_named
 from services.simulator.world import known_worlds
+from services.simulator.world.place import Pose
 
 _NAME: Final[TypeAdapter[str]] = TypeAdapter(WorldName)
 
@@ -62,6 +63,8 @@ class Worlds:
             self._first,
             settings.variation,
         )
+        # Start and victim that a person has chosen, by world.
+        self.tasks: dict[str, tuple[Pose, Pose]] = {}
 
     def names(self) -> list[str]:
         """Return the sorted names of all available worlds."""
@@ -91,6 +94,7 @@ class Worlds:
                 base=of.base,
                 shake=of.shake,
                 variation=variation,
+                task=self.tasks.get(world),
                 depth=of.depth,
             )
         except JobError as error:

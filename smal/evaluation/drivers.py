@@ -34,10 +34,9 @@ class SmalDriver:
     """
 
     def __init__(self, model: Model, goal: str | None = None, *, avoids: bool = True) -> None:
-        self._model = model
-        self._goal = goal
+        self._robot = Robot(model, goal)
         self._avoids = avoids
-        self.reset(0)
+        self.place: PlaceEstimate | None = None
 
     @classmethod
     def taught(
@@ -56,8 +55,8 @@ class SmalDriver:
 
     def reset(self, seed: int) -> None:
         """Start a new episode."""
-        self._robot = Robot(self._model, self._goal, seed)
-        self.place: PlaceEstimate | None = None
+        self._robot.reset(seed)
+        self.place = None
 
     def step(
         self, image: Uint8s, odometry: Sequence[float], depth: Depth | None, elapsed_s: float

@@ -13,7 +13,10 @@ from services.kit.process import EXIT_FAILED, EXIT_USAGE
 
 #: The module of each benchmark, which has a function `main`.
 BENCHMARKS: Final = {
-    **{name: f"{name}.benchmark" for name in ("belief", "bus", "faults", "recognition", "senses")},
+    **{
+        name: f"{name}.benchmark"
+        for name in ("belief", "bus", "faults", "recognition", "rooms", "senses")
+    },
     **{name: name for name in ("fleet", "link", "places", "route", "soak")},
 }
 

@@ -55,6 +55,18 @@ def test_robot_reports_the_end_of_the_taught_way(odometry: bool) -> None:
     assert math.hypot(x - pose(FRAMES - 1)[0], y) < 0.6
 
 
+def test_robot_repeats_an_episode_when_reset_with_its_seed() -> None:
+    start = (0.1, 0.3, 0.1)
+    fresh = Robot(model(), seed=3)
+    _, made = _drive(fresh, start, odometry=True)
+    robot = Robot(model())
+    _drive(robot, start, odometry=True)
+    robot.reset(3)
+    _, again = _drive(robot, start, odometry=True)
+    assert again == made
+    np.testing.assert_array_equal(robot.belief.offsets, fresh.belief.offsets)
+
+
 def test_robot_reports_its_position() -> None:
     robot = Robot(model())
     for frame in range(8):

@@ -42,6 +42,7 @@ class EpisodeRecord:
     ticks: int = 0
     outcome: Outcome = "aborted"
     right: bool | None = None  # Whether a "not here" was correct, if known.
+    kidnapped: int = 0  # How often the robot was kidnapped, by request or by a person.
     things: tuple[
         tuple[tuple[float, float], ...], ...
     ] = ()  # Outlines of the added obstacles, metres.
@@ -246,6 +247,8 @@ class EpisodeClient:
 
     def _on_event(self, event: Episode) -> None:
         record = self._of(event)
+        if record and event.event == "kidnapped":
+            record.kidnapped += 1
         if record and event.event == "ended":
             record.ticks = event.tick
             record.outcome = event.outcome or "aborted"

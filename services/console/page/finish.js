@@ -2,7 +2,7 @@
 
 import { $, color, element, say } from "./element.js";
 import { drawPlaces, placesOf } from "./map.js";
-import { OUTCOMES, finishFacts, seconds } from "./words.js";
+import { OUTCOMES, finishFacts, reportOf, seconds } from "./words.js";
 
 // Kept pictures: five a second for the first minute. If there are too many, every second picture is dropped.
 const APART_S = 0.2, MOST = 300, MOST_BYTES = 16e6;
@@ -13,7 +13,7 @@ const FETCHED_MS = 60_000;  // time of the browser to write the file
 const card = $("#finish"), [camera, map] = card.querySelectorAll("canvas"), bar = card.querySelector("input");
 const film = $("#finish .film"), report = $("#report"), saving = $("#save-video");
 
-let run = null, closed = true;
+let run = null, closed = true, last = null, loading = false;
 
 /** Keep a picture of the running run, with the time and the robot's position. */
 export function keepPicture({ robot, pose, belief }, picture) {
@@ -39,25 +39,69 @@ function keep(moment) {
   run.apartS *= 2;
 }
 
-/** Show the end of the run that the page has seen; `off` is the distance to the goal in metres, or null. */
+/** Show the end of the last run, from its recording after a reload; `off` is the distance to the goal in metres, or null. */
 export function drawFinish(state, off) {
-  const { robot, driven, library } = state;
-  if (!run || robot?.episode || !robot?.outcome || robot.purpose !== "run") return;
-  if (!run.end) finish(state);
+  const { robot, driven, goal } = state;
+  if (robot?.episode) {
+    if (robot.purpose !== "run") closed = true;
+    return;
+  }
+  if (!run) return offer(state);
+  if (!run.end) {
+    if (!robot?.outcome || robot.purpose !== "run") return;
+    if (run.moments.at(-1) !== run.latest) run.moments.push(run.latest);
+    finish(state, { ...robot, metres: null });
+  }
   if (driven?.episode === run.episode) run.end.metres = driven.metres;
-  run.end.off ??= off;
+  if (goal?.episode === run.episode) run.end.off ??= off;
   run.end.facts = finishFacts(run.end);
   say(card.querySelector(".facts"), run.end.facts);
-  const recording = library?.recordings.find(({ episode }) => episode === run.episode);
-  if (recording) report.href = `report?${new URLSearchParams({ of: recording.name })}`;
+  const recording = recordingOf(state, run.episode);
+  if (recording) report.href = reportOf(recording.name);
   else report.removeAttribute("href");
 }
 
-function finish(state) {
-  const { outcome, seconds: s } = state.robot;
-  if (run.moments.at(-1) !== run.latest) run.moments.push(run.latest);
-  const title = OUTCOMES[outcome][0].toUpperCase() + OUTCOMES[outcome].slice(1);
-  run.end = { s, title, metres: null, off: null, places: placesOf(state, run.episode) };
+const recordingOf = ({ library }, id) => library?.recordings.find(({ episode }) => episode === id);
+
+/** Offer the last recorded run; if the last episode was a run, show it at once. */
+function offer(state) {
+  const { robot, driven, library } = state, ran = Boolean(robot?.outcome) && robot.purpose === "run";
+  const of = ({ purpose, frames, episode }) => purpose === "run" && frames > 0 && (!ran || !driven || episode === driven.episode);
+  const first = last === null;
+  last = library?.recordings.find(of) ?? null;
+  $("#last-run").hidden = last === null;
+  if (first && last && ran) load(state);
+}
+
+/** Load the last run from its recording; `shown` is called when the card has it. */
+async function load(state, shown = () => {}) {
+  if (loading) return;
+  loading = true;
+  const recording = last;
+  try {
+    const answer = await fetch(`moments?${new URLSearchParams({ of: recording.name })}`);
+    if (!answer.ok) throw new Error((await answer.text()).trim());
+    const { metres, true: inWorld, moments } = await answer.json();
+    if (run) return;  // another run has begun
+    if (moments.length === 0) throw new Error(`${recording.name}: no picture`);
+    begin(recording.episode);
+    run.moments = moments.map(({ picture, ...moment }) => ({ ...moment, picture: blobOf(picture) }));
+    finish(state, { ...recording, metres });
+    if (!inWorld) Object.assign(run.end.places, { taught: [], ground: null, victim: null });
+    show(run.shown);
+    shown();
+  } catch (error) {
+    tell(`Last run not shown: ${error.message}`);
+  } finally {
+    loading = false;
+  }
+}
+
+const blobOf = (base64) => new Blob([Uint8Array.from(atob(base64), (one) => one.charCodeAt(0))], { type: "image/jpeg" });
+
+function finish(state, { outcome, seconds: s, kidnapped, metres }) {
+  const text = OUTCOMES[outcome] ?? "end not recorded", title = text[0].toUpperCase() + text.slice(1);
+  run.end = { s, title, kidnapped, metres, off: null, places: placesOf(state, run.episode) };
   run.path = run.moments.map(({ here }) => here).filter(Boolean);
   say($("#finish-title"), title);
   bar.max = run.moments.length - 1;
@@ -73,7 +117,7 @@ function finish(state) {
 }
 
 /** Whether the finish replaces the settings of the next run. */
-export const finished = ({ robot }) => Boolean(run?.end) && !closed && robot?.purpose === "run" && !robot.episode && !robot.waiting;
+export const finished = ({ robot }) => Boolean(run?.end) && !closed && !robot?.episode && !robot?.waiting;
 
 export function closeFinish() {
   closed = true;
@@ -146,15 +190,18 @@ async function visible(recorder) {
   recorder.resume();
 }
 
-/** Connect the controls; `redraw` draws the panels, and `tell` shows a line of news. */
-export function wireFinish(redraw, tell) {
+let tell;
+
+/** Connect the controls: `redraw` draws the panels, `told` shows a line of news, `state` returns the page's state. */
+export function wireFinish(redraw, told, state) {
+  tell = told;
   bar.oninput = () => show(Number(bar.value));
   const open = (is) => () => {
     closed = !is;
     redraw();
   };
   $("#close-finish").onclick = open(false);
-  $("#last-run").onclick = open(true);
+  $("#last-run").onclick = () => (run ? open(true)() : load(state(), redraw));
   saving.onclick = async () => {
     if (saving.getAttribute("aria-disabled") === "true") return;
     saving.setAttribute("aria-disabled", "true");

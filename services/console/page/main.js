@@ -3,15 +3,17 @@
 import { drawAhead } from "./ahead.js";
 import { drawBelief } from "./belief.js";
 import { Box } from "./box.js";
+import { wireCarry } from "./carry.js";
+import { drawChoice, wireChoice } from "./choose.js";
 import { Drive } from "./drive.js";
 import { $, element, say } from "./element.js";
 import { closeFinish, drawFinish, finished, keepPicture, wireFinish } from "./finish.js";
 import { drawHealth } from "./health.js";
 import { lead } from "./lead.js";
-import { drawMap } from "./map.js";
-import { drawJob, drawLibrary, inWorld, known, really, wireTeaching } from "./teach.js";
+import { drawMap, showPlace } from "./map.js";
+import { drawJob, drawLibrary, inWorld, known, really, startHere, wireTeaching } from "./teach.js";
 import { Watch } from "./watch.js";
-import { LABELS, episodeFacts, illness, seconds } from "./words.js";
+import { LABELS, episodeFacts, illness, seconds, teaching } from "./words.js";
 import { drawWorlds, opening, showNews, wireWorlds } from "./world.js";
 
 const OLD_S = 2, NO_WORD_S = 3, MOST_LINES = 50, LATEST_MS = 6000, NEW_MS = 500;
@@ -32,6 +34,7 @@ const draws = {
     drawWorlds(told("robot"));
     inWorld(told("robot").world ?? null);
     const { disk } = told("recorder");
+    $("#carry-hint").classList.toggle("absent", !told("robot").worlds);
     say($("#disk"), disk ? `Recording: ${disk}` : "");
     $("#disk").hidden = !disk;
   },
@@ -42,8 +45,8 @@ function onNews(channels) {
   for (const channel of channels) draws[channel]?.(watch.state[channel]);
   drawLead();
   if (channels.some((one) => ["belief", "plan", "model"].includes(one))) drawBelief(watch.state, watch.age("belief"));
-  if (channels.some((one) => ["pose", "way", "model", "belief", "tracked", "goal", "ground"].includes(one))) {
-    drawMap(watch.state, (channel) => watch.age(channel));
+  if (channels.some((one) => ["pose", "way", "model", "belief", "tracked", "goal", "ground", "stands"].includes(one))) {
+    drawMap(watch.state, (channel) => watch.age(channel), Boolean(told("robot").worlds) && !teaching(watch.state.robot));
   }
 }
 
@@ -88,11 +91,15 @@ function drawLead() {
   $("#camera").classList.toggle("old", led.level === "old" || Boolean(state.link));
   if (led.does[0] !== before.does[0]) changedMs = performance.now();
   drawFinish(watch.state, state.distance);
+  drawChoice(Boolean(told("robot").worlds) && !robot?.episode && !robot?.waiting && !state.opening);
   drawActions({ learn: state.picked > 0, run: state.usable });
   const ends = (chosen ?? "run") === "run" && finished(watch.state);
   drawPanels(details ? "more" : ends ? "finish" : led.step);
   $("#stop").setAttribute("aria-pressed", String(Boolean(robot?.emergency || robot?.cause === "emergency_stop")));
-  if (robot?.episode && document.body.dataset.episode !== robot.episode) showNews("");
+  if (robot?.episode && document.body.dataset.episode !== robot.episode) {
+    showNews("");
+    startHere(false);
+  }
   document.body.dataset.episode = robot?.episode ?? "";
   say($("#episode"), episodeFacts(robot));
   drawCameraAge(Boolean(robot?.episode));
@@ -203,15 +210,31 @@ for (const tab of tabs) {
     drawLead();
   };
 }
-$("#enlarge").onclick = ({ target }) => {
-  target.setAttribute("aria-pressed", String($("#map").classList.toggle("large")));
-  onNews(["pose"]);
-};
+const redrawMap = () => onNews(["pose"]);
+function enlarge(is) {
+  $("#enlarge").setAttribute("aria-pressed", String($("#map").classList.toggle("large", is)));
+  redrawMap();
+}
+$("#enlarge").onclick = () => enlarge();
 wireFinish(() => {
   [chosen, details] = ["run", false];
   drawLead();
-}, tell);
+}, tell, () => watch.state);
 wireTeaching((what) => drive.ask(what));
+wireCarry({
+  carry: (pose) => {
+    drive.ask({ do: "carry", ...pose });
+    if (!watch.state.robot?.episode) startHere(true);
+  },
+  redraw: redrawMap,
+  click: showPlace,
+  tell,
+});
+wireChoice({
+  enlarge: () => enlarge(true),
+  chosen: (places) => drive.ask({ do: "task", ...places }),
+  redraw: redrawMap,
+});
 wireWorlds(async (map, name) => {
   if (!(await drive.take())) return;
   tell(`Sending ${map.name} …`);

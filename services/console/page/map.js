@@ -1,23 +1,28 @@
 // The map: taught drives, today's path, the robot, and its estimated position.
 
+import { followRobot, inHand } from "./carry.js";
+import { choosing, cornersOf } from "./choose.js";
 import { course } from "./ahead.js";
 import { $, cleared, color } from "./element.js";
 import { teaching } from "./words.js";
 
-const MARGIN = 18, NEAR_PX = 24, LEAST_M = 4, CROSS_PX = 6;
+const MARGIN = 18, NEAR_PX = 24, LEAST_M = 4, CROSS_PX = 6, STANDS_S = 5, CARRIED_M = 1.5, CARRIED_TIMES = 5, MOVES_M = 0.1;
+const PLANNED_PX = [6, 5], MARK_PX = 9;
 const ARROW_PX = [[10, 0], [-6, 6], [-3, 0], [-6, -6]];
-const canvas = $("#map canvas"), place = $("#place"), legend = $("#map .victim");
+const canvas = $("#map canvas"), place = $("#place"), legend = $("#map .legend"), guide = $("#map-state");
 
 let shown = { places: [] }, plan = { layers: [] };
 
-/** Show the taught picture of the place at a click; a click elsewhere hides it. */
-canvas.onclick = ({ offsetX, offsetY }) => {
-  const off = shown.places.map(([x, y]) => Math.hypot(x - offsetX, y - offsetY)), key = off.indexOf(Math.min(...off));
+canvas.addEventListener("click", ({ offsetX, offsetY }) => choosing() || showPlace([offsetX, offsetY]));
+
+/** Show the taught picture of the place at a pixel; a pixel elsewhere hides it. */
+export function showPlace([left, top]) {
+  const off = shown.places.map(([x, y]) => Math.hypot(x - left, y - top)), key = off.indexOf(Math.min(...off));
   place.hidden = !(off[key] <= NEAR_PX);
   if (place.hidden) return;
   place.src = `taught/${shown.model.id}/${key}`;
   place.alt = `Taught picture, ${shown.model.along[key].toFixed(1)} m along the way`;
-};
+}
 
 /** Double the area that points enclose; negative if they run clockwise. */
 function area2(points) {
@@ -44,22 +49,41 @@ function layersOf(ground) {
   return plan.layers;
 }
 
+/** Pieces of a path between which the robot was carried: a step is then far longer than the others. */
+function pieces(path) {
+  const steps = path.slice(1).map(([x, y], k) => Math.hypot(x - path[k][0], y - path[k][1]));
+  const moving = steps.filter((step) => step >= MOVES_M).sort((a, b) => a - b);
+  const far = Math.max(CARRIED_M, CARRIED_TIMES * (moving[moving.length >> 1] ?? 0));
+  const ends = [...steps.flatMap((step, k) => (step > far ? [k + 1] : [])), path.length];
+  return ends.map((end, k) => path.slice(ends[k - 1] ?? 0, end));
+}
+
+/** Transform between metres and the pixels of a map that shows all points below `top`: `at`, its inverse `from`, the scale. */
+function viewOf(points, [width, height], top) {
+  const spans = [0, 1].map((axis) => {
+    const values = points.map((point) => point[axis]);
+    return [Math.min(...values), Math.max(...values)];
+  });
+  const [middleX, middleY] = spans.map(([low, high]) => (low + high) / 2);
+  const room = [width, height - top].map((pixels) => pixels - 2 * MARGIN), middle = (height + top) / 2;
+  const scale = Math.min(...spans.map(([low, high], axis) => room[axis] / Math.max(high - low, LEAST_M)));
+  const at = ([x, y]) => [width / 2 + (x - middleX) * scale, middle - (y - middleY) * scale];
+  const from = ([x, y]) => [middleX + (x - width / 2) / scale, middleY - (y - middle) / scale];
+  return { at, from, scale };
+}
+
 /**
- * Draw the ground plan, boxes, taught drives, a path and the goal, scaled to all points and `others`. Returns functions
- * that draw more: `beside`, the pixel at an offset in pixels ahead and to the left of a pose; `trace`, a line through
- * pixels, or its interior; `arrow`, a robot; and the scale and the pixels of the taught places. Null without a point.
+ * Draw the ground plan, boxes, taught drives, a path, a planned way and the goal, scaled to all points and `others`, or by a
+ * given `view`. The upper `top` pixels stay free. Returns the view, and functions that draw more: `beside`, the pixel at an offset in pixels ahead and to the left of a pose; `trace`, a line through
+ * pixels, or its interior; `arrow`, a robot; `mark`, a square at a place; and the pixels of the taught places. Null without a point.
  */
-export function drawPlaces(pen, [width, height], { ground, boxes = [], taught, drives = [], path, victim, others = [] }) {
-  const all = [...taught, ...path, ...others, ...(victim ? [victim] : [])];
+export function drawPlaces(pen, size, { ground, boxes = [], taught, drives = [], path, planned = [], victim, others = [], view, top = 0 }) {
+  const all = [...taught, ...path, ...planned, ...others, ...(victim ? [victim] : [])];
   // The ground plan alone shows the task; a town is far larger than a way.
   if (ground) all.push(ground.start, ground.victim);
   if (all.length === 0) return null;
-  const axes = [0, 1].map((axis) => all.map((point) => point[axis]));
-  const spans = axes.map((values) => [Math.min(...values), Math.max(...values)]);
-  const [middleX, middleY] = spans.map(([low, high]) => (low + high) / 2);
-  const room = [width, height].map((pixels) => pixels - 2 * MARGIN);
-  const scale = Math.min(...spans.map(([low, high], axis) => room[axis] / Math.max(high - low, LEAST_M)));
-  const at = ([x, y]) => [width / 2 + (x - middleX) * scale, height / 2 - (y - middleY) * scale];
+  view ??= viewOf(all, size, top);
+  const { at, scale } = view;
   const beside = ([x, y, heading], [ahead, left]) => {
     const [px, py] = at([x, y]), [cos, sin] = [Math.cos(heading), Math.sin(heading)];
     return [px + cos * ahead - sin * left, py - sin * ahead - cos * left];
@@ -73,6 +97,9 @@ export function drawPlaces(pen, [width, height], { ground, boxes = [], taught, d
   };
   const arrow = (pose, shade, filled) =>
     trace(ARROW_PX.map((corner) => beside(pose, corner)), shade, 2, { closed: true, filled });
+  const cross = ([x, y]) => {
+    for (const rise of [-CROSS_PX, CROSS_PX]) trace([[x - CROSS_PX, y - rise], [x + CROSS_PX, y + rise]], "bad", 3);
+  };
   pen.save();
   pen.translate(...at([0, 0]));
   pen.scale(scale, -scale);
@@ -89,12 +116,20 @@ export function drawPlaces(pen, [width, height], { ground, boxes = [], taught, d
     pen.arc(...points.at(-1), 6, 0, 7);
     pen.fill();
   }
-  trace(path.map(at), "way", 2);
-  if (victim) {
-    const [x, y] = at(victim);
-    for (const rise of [-CROSS_PX, CROSS_PX]) trace([[x - CROSS_PX, y - rise], [x + CROSS_PX, y + rise]], "bad", 3);
+  for (const piece of pieces(path)) trace(piece.map(at), "way", 2);
+  const mark = (place, shade) => {
+    const [x, y] = at(place);
+    pen.fillStyle = color(shade);
+    pen.fillRect(x - MARK_PX / 2, y - MARK_PX / 2, MARK_PX, MARK_PX);
+  };
+  if (planned.length > 0) {
+    pen.setLineDash(PLANNED_PX);
+    trace(planned.map(at), "soft", 2);
+    pen.setLineDash([]);
+    mark(planned[0], "soft");
   }
-  return { scale, beside, trace, arrow, places: taught.map(at) };
+  if (victim) cross(at(victim));
+  return { view, beside, trace, arrow, mark, places: taught.map(at) };
 }
 
 /** Places of an episode for `drawPlaces`, without its path; drives in another world have no position in this world. */
@@ -105,20 +140,36 @@ export function placesOf({ model, robot, goal, ground }, episode) {
   return { ground, taught, drives: model?.drives, victim: at, boxes };
 }
 
-export function drawMap(state, age) {
+/** True pose of a simulated robot: of the running episode, else where it stands. */
+function truePose({ robot, pose, stands }, age) {
+  const [channel, now] = robot?.episode ? ["pose", pose] : ["stands", stands];
+  if (now && age(channel) < STANDS_S) return now.pose;
+  return pose && age("pose") < STANDS_S ? pose.pose : null;
+}
+
+/** Draw the map; `carries` whether a person can carry the robot. */
+export function drawMap(state, age, carries) {
   const { model, way, pose, tracked, belief, around, robot, health } = state;
   const height = canvas.clientHeight, [pen, width] = cleared(canvas, height);
   const today = way && pose && way.episode === pose.episode ? [...way.points, pose.pose] : pose ? [pose.pose] : [];
   const places = placesOf(state, pose?.episode);
-  if (!robot?.episode) places.victim = null;
+  const begins = !robot?.episode || teaching(robot), planned = (begins && places.ground?.route) || [];
+  if (!robot?.episode) places.victim = planned.at(-1) ?? null;
   const believed = age("belief") < 2 && places.taught.length > 0 ? belief?.pose : undefined;
-  legend.classList.toggle("absent", !places.victim);
-  const drawn = drawPlaces(pen, [width, height], { ...places, path: today, others: believed ? [believed] : [] });
+  legend.querySelector(".victim").classList.toggle("absent", !places.victim);
+  const truth = truePose(state, age), hand = inHand();
+  const choice = choosing(), corners = choice && places.ground ? cornersOf(places.ground) : [];
+  const others = [believed, truth, ...corners].filter(Boolean);
+  const top = choice ? guide.clientHeight : legend.clientHeight, view = hand?.view ?? choice?.view;
+  const drawn = drawPlaces(pen, [width, height], { ...places, path: today, planned, others, top, view });
   $("#map").classList.toggle("nothing", !drawn);
+  followRobot(drawn && truth && carries && !choice ? { pixel: drawn.view.at(truth), heading: truth[2], view: drawn.view } : null);
   if (!drawn) return;
-  const { scale, beside, trace, arrow } = drawn;
+  const { view: { scale, from }, beside, trace, arrow, mark } = drawn;
+  if (choice) choice.view = drawn.view;
+  for (const picked of choice?.picked ?? []) mark(picked, "accent");
   shown = { model, places: drawn.places };
-  const here = pose && age("pose") < 5 ? pose.pose : believed;
+  const here = truth ?? believed;
   pen.fillStyle = color("bad");
   const there = (metres) => beside(here, metres.map((one) => one * scale));
   for (const metres of (here && age("around") < 1 && around?.things) || []) {
@@ -127,6 +178,7 @@ export function drawMap(state, age) {
   }
   if (here) trace(course({ robot, health }).map(there), "good", 3);
   if (tracked && age("tracked") < 2) arrow(tracked.pose, "soft", false);
-  if (pose && age("pose") < 5) arrow(pose.pose, "good", true);
+  if (truth) arrow(truth, "good", !hand);
+  if (hand) arrow([...from(hand.pixel), hand.heading], "good", true);
   if (believed) arrow(believed, "believed", false);
 }

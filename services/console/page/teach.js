@@ -1,7 +1,7 @@
 // Recordings, learning, and runs with a model.
 
 import { $, element, say } from "./element.js";
-import { jobFacts, jobText, recordingFacts } from "./words.js";
+import { jobFacts, jobText, recordingFacts, reportOf } from "./words.js";
 import { chosenWorld, madeWorld, showNews, worldOf } from "./world.js";
 
 const REALLY_MS = 3000;
@@ -23,6 +23,12 @@ export function wireTeaching(ask) {
   for (const files of [list, models]) files.onclick = ({ target }) => manage(target, ask);
   run.elements.model.onchange = () => (fillGoals(), warn());
   $("#world-form").addEventListener("change", () => (fillModels(), warn()));
+}
+
+/** Let the next run start where the robot stands, or else near the world's start again. */
+export function startHere(is) {
+  const { start } = run.elements;
+  if (is || start.value === "here") start.value = is ? "here" : "start";
 }
 
 /** Delete or rename a file; the first press asks. A browser dialog would block the emergency stop. */
@@ -156,7 +162,9 @@ function recordingItem(one) {
     return element("img", { alt: "", loading: "lazy", width: 72, height: 54, src });
   });
   const row = element("div", { className: "thumbnails" }, ...pictures);
-  return element("li", {}, element("label", {}, box, text), row, ...managing(one.name, `${title}, ${when}`));
+  const called = `${title}, ${when}`, [name, ...buttons] = managing(one.name, called);
+  const report = element("a", { className: "report", href: reportOf(one.name), target: "_blank", "aria-label": `Report of ${called}` }, "Report");
+  return element("li", {}, element("label", {}, box, text), row, name, ...(one.frames ? [report] : []), ...buttons);
 }
 
 /** Controls that rename and delete a file. */

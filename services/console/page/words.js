@@ -83,10 +83,16 @@ export function beliefFacts(belief, age) {
   return status === "recognized" ? "The page reads the model …" : "The robot has not recognized a taught place yet.";
 }
 
-/** Numbers of a finished run: `metres` driven, `s` seconds, and `off` metres to the goal, if known. */
-export function finishFacts({ metres, s, off }) {
+/** Address of a recording's report. */
+export const reportOf = (recording) => `report?${new URLSearchParams({ of: recording })}`;
+
+/** How often the robot was carried elsewhere; empty if never. */
+export const kidnappings = (count) => (count ? `kidnapped${count > 1 ? ` ${count} times` : ""}` : "");
+
+/** Numbers of a finished run: `metres` driven, `s` seconds, `off` metres to the goal, if known, and kidnappings. */
+export function finishFacts({ metres, s, off, kidnapped }) {
   const driven = metres === null ? "" : `${metres.toFixed(1)} m driven`, took = s === null ? "" : `in ${seconds(s)}`;
-  return [`${driven} ${took}`.trim(), off === null ? "" : `${off.toFixed(1)} m from the goal`].filter(Boolean).join(", ");
+  return [`${driven} ${took}`.trim(), off === null ? "" : `${off.toFixed(1)} m from the goal`, kidnappings(kidnapped)].filter(Boolean).join(", ");
 }
 
 /** Rows of the plan: action, commands, remaining time, target. */

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from zipfile import BadZipFile
 
 import numpy as np
@@ -14,6 +14,7 @@ from schemas.rpc import ResetRequest
 from services.expert.driver import DRIVE_TICKS, RECOVERY_TICKS, RouteDriver
 from services.kit.jpeg import decode_jpeg
 from services.recordings.dataset import recorded_images
+from services.robot.lockstep import PosedView, SteppedEpisode
 from services.robot.messages import rounded
 from services.simulator.lockstep import LockstepEpisode
 from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG, SimulatedView
@@ -27,6 +28,7 @@ from smal.movement import Atom
 from smal.teaching.demonstration import Demonstration
 
 Via = Sequence[tuple[float, float]]
+P = TypeVar("P", bound=PosedView)
 
 
 def views_of_expert(
@@ -47,14 +49,21 @@ def views_of_expert(
         here = place
     route += plan_route(world, here).tolist()
     car = world.robot.drive.radius_m > 0.0
-    expert = RouteDriver(route, simulation.speed_m_s, simulation.found_m, car=car)
+    yield from _followed(
+        episode, RouteDriver(route, simulation.speed_m_s, simulation.found_m, car=car)
+    )
+
+
+def _followed(episode: SteppedEpisode[P], expert: RouteDriver) -> Iterator[tuple[P, Atom | None]]:
+    """Drive an episode with the expert; yield as `views_of_expert`."""
     while True:
         view = episode.view
-        if episode.outcome is not None or expert.arrived(view.pose.x, view.pose.y):
+        x, y, heading = view.true_pose
+        if episode.outcome is not None or expert.arrived(x, y):
             there = episode.outcome == "found" or (episode.outcome is None and episode.reached)
             yield view, Atom.STOP if there else None
             return
-        velocity = expert.velocity(view.pose.x, view.pose.y, view.pose.heading)
+        velocity = expert.velocity(x, y, heading)
         yield view, Atom[velocity.atom().upper()]
         episode.step(velocity)
 
@@ -73,21 +82,63 @@ def drive(
     ValueError
         If the drive does not reach the victim.
     """
+    views = views_of_expert(simulation, seed, via, purpose)
+    return _arrays(views, features, seed, purpose, simulation.name)
+
+
+def drive_in(
+    episode: SteppedEpisode[P], name: str, features: FeatureSettings
+) -> dict[str, NDArray[Any]]:
+    """Drive an episode of any simulator with the expert along its route; return as `drive`.
+
+    Parameters
+    ----------
+    episode
+        Episode of a body that reports the route, the true pose and odometry.
+    name
+        Name of the world, for errors.
+    features
+        Features to extract from every image.
+
+    Raises
+    ------
+    ValueError
+        If the drive does not reach the goal.
+    """
+    kinematics = episode.kinematics
+    expert = RouteDriver(
+        episode.beginning.route,
+        kinematics.speed_m_s,
+        episode.beginning.found_m or 0.0,
+        car=kinematics.radius_m > 0.0,
+    )
+    request = episode.request
+    return _arrays(_followed(episode, expert), features, request.seed, request.purpose, name)
+
+
+def _arrays(
+    views: Iterator[tuple[P, Atom | None]],
+    features: FeatureSettings,
+    seed: int,
+    purpose: Purpose,
+    name: str,
+) -> dict[str, NDArray[Any]]:
     rows = []
     reached = False
-    for view, atom in views_of_expert(simulation, seed, via, purpose):
+    for view, atom in views:
         reached = atom is not None
         if not reached and purpose == "drive":
             raise ValueError(
-                f"the expert's drive with seed {seed} in {simulation.name} did not reach the victim"
+                f"the expert's drive with seed {seed} in {name} did not reach the victim"
             )
-        pose = view.pose.x, view.pose.y, view.pose.heading
+        if view.odometry is None:
+            raise ValueError(f"{name}: the body has no odometry; a comparison needs it")
         rows.append(
             (
-                extract(view.image, features),
+                extract(decode_jpeg(view.jpeg), features),
                 atom or Atom.STOP,
                 rounded(view.odometry)[:3],
-                pose,
+                view.true_pose,
                 view.jpeg,
             )
         )

@@ -7,8 +7,9 @@ from that frame on. A test checks that the same seed gives the same poses.
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Final, cast
+from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +20,18 @@ from schemas.episode import Outcome, Said
 from schemas.rpc import ResetRequest
 from services.experiments.evaluation.degradation import Degrader
 from services.experiments.evaluation.plan import Criterion
+from services.kit.errors import JobError
+from services.kit.jpeg import decode_jpeg
 from services.robot.episode import Ended
+from services.robot.lockstep import PosedView, SteppedEpisode
 from services.robot.messages import rounded
 from services.simulator.lockstep import LockstepEpisode
 from services.simulator.simulation import Simulation
 from services.simulator.world.route import route_length_m
-from smal.evaluation.driver import Driver, PlaceEstimate
+from smal.evaluation.driver import Depth, Driver, PlaceEstimate
 from smal.movement import Atom, placed, seen_from
 
+P = TypeVar("P", bound=PosedView)
 PICTURE_TICKS: Final = 10  # Spacing of the images of an example route, frames.
 
 
@@ -99,58 +104,90 @@ def search(
     degrader: Degrader | None = None,
     picture_ticks: int = 0,
 ) -> SearchRun:
+    """Run one search of a driver in a simulation; see `search_in`."""
+    episode = LockstepEpisode(simulation, request)
+    return search_in(episode, driver, lambda: simulation.clearance_m, degrader, picture_ticks)
+
+
+def search_in(
+    episode: SteppedEpisode[P],
+    driver: Driver,
+    clearance_m: Callable[[], float],
+    degrader: Degrader | None = None,
+    picture_ticks: int = 0,
+) -> SearchRun:
     """Run one search of a driver, until its announcement or the end of the episode.
 
     Parameters
     ----------
+    episode
+        Episode of any body that knows the route and its true pose, with a frame every `TICK_S`.
+    driver
+        Driver to evaluate.
+    clearance_m
+        Returns the distance from the robot's side to the nearest obstacle, metres.
     degrader
         Degradation of the images.
     picture_ticks
         Spacing of the images to keep, frames (0: no image).
     """
-    episode = LockstepEpisode(simulation, request)
-    driver.reset(request.seed)
+    beginning = episode.beginning
+    driver.reset(episode.request.seed)
     # The search ends where the victim counts as found.
-    shortest_m = max(route_length_m(np.array(episode.beginning.route)) - simulation.found_m, 0.0)
+    shortest_m = max(route_length_m(np.array(beginning.route)) - (beginning.found_m or 0.0), 0.0)
     camera = _Camera(degrader, picture_ticks)
-    poses = [episode.view.pose]
-    clearance_m = [simulation.clearance_m]
+    poses = [_true_pose(episode.view)]
+    clearances_m = [clearance_m()]
     atoms = list[Atom]()
     places = list[PlaceEstimate | None]()
     decision_ms = list[float]()
     said: Said | None = None
     while True:
         view = episode.view
-        image = camera.see(episode.tick, view.image)
+        image = camera.see(episode.tick, decode_jpeg(view.jpeg))
         if episode.outcome is not None:
             break
-        mount = simulation.mount
-        depth = None if view.depth is None or mount is None else (view.depth, mount)
         began_s = time.perf_counter()
-        motion = driver.step(image, rounded(view.odometry)[:3], depth, TICK_S)
+        motion = driver.step(image, _odometry(view), _depth(episode), TICK_S)
         decision_ms.append(1e3 * (time.perf_counter() - began_s))
         places.append(driver.place)
         if (said := driver.said) is not None:
             break
         velocity = Velocity(*motion)
-        poses.append(episode.step(velocity).pose)
-        clearance_m.append(simulation.clearance_m)
+        poses.append(_true_pose(episode.step(velocity)))
+        clearances_m.append(clearance_m())
         atoms.append(Atom[velocity.atom().upper()])
     ended = Ended(cast("Outcome", episode.outcome)) if said is None else episode.end(said)
-    victim = simulation.victim or simulation.world.victim
     return SearchRun(
         ended.outcome,
-        poses=np.array([[pose.x, pose.y, pose.heading] for pose in poses]),
+        poses=np.array(poses),
         atoms=np.array(atoms, dtype=np.int8),
-        clearance_m=np.array(clearance_m),
+        clearance_m=np.array(clearances_m),
         shortest_m=shortest_m,
         places=tuple(places),
-        arrival_m=math.hypot(victim.x - poses[-1].x, victim.y - poses[-1].y),
+        arrival_m=math.dist(beginning.victim or beginning.route[-1], poses[-1][:2]),
         decision_ms=np.array(decision_ms),
         pictures=camera.kept,
-        kidnap_tick=request.kidnap_tick or 0,
+        kidnap_tick=episode.request.kidnap_tick or 0,
         right=ended.right,
     )
+
+
+def _true_pose(view: PosedView) -> tuple[float, float, float]:
+    x, y, heading = view.true_pose
+    return x, y, heading
+
+
+def _odometry(view: PosedView) -> tuple[float, float, float]:
+    if view.odometry is None:
+        raise JobError("the body has no odometry; drivers of a comparison need it")
+    x, y, heading, *_ = rounded(view.odometry)
+    return x, y, heading
+
+
+def _depth(episode: SteppedEpisode[P]) -> Depth | None:
+    depth = episode.view.depth
+    return None if depth is None or episode.mount is None else (depth, episode.mount)
 
 
 def finding(found: SearchRun, taught: NDArray[np.float64], criterion: Criterion) -> dict[str, Any]:

@@ -6,7 +6,7 @@ higher or lower. Each connected group of such cells is a floor: a storey, or a t
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -32,6 +32,8 @@ _CLIMB: Final = 3  # Cells.
 _SAMPLES: Final = 8
 _SOLID: Final = 2
 _MOST_SAMPLES: Final = 60_000_000
+# Samples that are in memory at once: some 500 MB with their triangles and cells.
+_BLOCK: Final = 2_000_000
 # Cosine of the steepest floor: scanned floors are bumpy.
 _FACES_UP: Final = 0.6
 # Gaps in the floor up to this many cells wide are closed.
@@ -135,6 +137,50 @@ class _Storey:
     area_m2: float
 
 
+def _middle(faces: Sequence[PartFaces]) -> NDArray[np.float64]:
+    """Return the median (2,) of the surfaces in the plan: half of their area is on each side."""
+    areas = np.concatenate([one.areas for one in faces])
+    centres = np.concatenate([one.corners[..., :2].mean(axis=1) for one in faces])
+    order = np.argsort(centres, axis=0)
+    along = np.cumsum(areas[order], axis=0)
+    half = [int(np.searchsorted(one, one[-1] / 2)) for one in along.T]
+    return np.array([centres[order[k, axis], axis] for axis, k in enumerate(half)])
+
+
+def _points_in(corners: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return a random point of each triangle (n, 3, 3)."""
+    u, v = rng.random((2, len(corners), 1))
+    outside = u + v > 1
+    u = np.where(outside, 1 - u, u)
+    v = np.where(outside, 1 - v, v)
+    a, b, c = np.moveaxis(corners, 1, 0)
+    return np.asarray(a + (b - a) * u + (c - a) * v)
+
+
+class _Tally:
+    """Counts how often each code occurs, in memory for the different codes."""
+
+    def __init__(self) -> None:
+        self._counted: list[tuple[Cells, Cells]] = []
+
+    def add(self, codes: Cells) -> None:
+        """Count some codes."""
+        self._counted.append(np.unique(codes, return_counts=True))
+        if sum(len(one) for one, _ in self._counted) > 4 * _BLOCK:
+            self._join()
+
+    def _join(self) -> None:
+        codes, counts = (np.concatenate(one) for one in zip(*self._counted, strict=True))
+        found, which = np.unique(codes, return_inverse=True)
+        self._counted = [(found, np.bincount(which, counts).astype(np.int64))]
+
+    def at_least(self, count: int) -> Cells:
+        """Return the sorted codes that occur this often."""
+        self._join()
+        codes, counts = self._counted[0]
+        return codes[counts >= count]
+
+
 class _Columns:
     """Occupied cells of a scan; the code of a cell counts through its column first."""
 
@@ -144,42 +190,59 @@ class _Columns:
         self._cell_height_m = robot.climb_m / _CLIMB
         self._top = math.ceil(robot.top_m / self._cell_height_m)
         size_m = np.array([self._cell_m, self._cell_m, self._cell_height_m])
-        points, faces_up = self._samples(faces)
-        off = np.abs(points[:, :2] - np.median(points[:, :2], axis=0)).max(axis=1)
-        near = off < _FARTHEST * self._cell_m
-        points = points[near]
-        faces_up = faces_up[near]
-        self._low = points.min(axis=0) - _MARGIN * size_m
-        cells = ((points - self._low) / size_m).astype(np.int64)
+        self._low, high = self._bounds(faces)
+        self._low -= _MARGIN * size_m
         # Room above the highest cell, so that a search for the robot's height stays in its column.
         above = self._top + _CLIMB + 2
-        rows, columns, heights = (cells.max(axis=0) + np.array([_MARGIN, _MARGIN, above])).tolist()
+        highest = ((high - self._low) / size_m).astype(np.int64)
+        rows, columns, heights = (highest + np.array([_MARGIN, _MARGIN, above])).tolist()
         self._plan = (rows, columns)
         self._heights = heights
-        codes = self._codes(cells[:, 0], cells[:, 1], cells[:, 2])
-        occupied, counts = np.unique(codes, return_counts=True)
-        self._solid = occupied[counts >= _SOLID]
-        level = np.unique(codes[faces_up])
-        self._floor = level[~self._hit(level + _CLIMB, self._top)]
+        tally = _Tally()
+        level: list[Cells] = []
+        for points, faces_up in self._samples(faces):
+            cells = ((points - self._low) / size_m).astype(np.int64)
+            codes = self._codes(cells[:, 0], cells[:, 1], cells[:, 2])
+            tally.add(codes)
+            level.append(np.unique(codes[faces_up]))
+        self._solid = tally.at_least(_SOLID)
+        floor = np.unique(np.concatenate(level))
+        self._floor = floor[~self._hit(floor + _CLIMB, self._top)]
 
-    def _samples(self, faces: Sequence[PartFaces]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return random points (n, 3) of the surfaces, and whether they face up."""
+    def _bounds(
+        self, faces: Sequence[PartFaces]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the lowest and the highest coordinates of the samples, without outliers."""
+        self._middle = _middle(faces)
+        low = np.full(3, np.inf)
+        high = -low
+        for points, _ in self._samples(faces):
+            low = np.minimum(low, points.min(axis=0, initial=np.inf))
+            high = np.maximum(high, points.max(axis=0, initial=-np.inf))
+        return low, high
+
+    def _samples(
+        self, faces: Sequence[PartFaces]
+    ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.bool_]]]:
+        """Yield random points (n, 3) of the surfaces, and whether they face up; without outliers.
+
+        Every call yields the same points.
+        """
         rng = np.random.default_rng(0)
         density = _SAMPLES / (self._cell_m * min(self._cell_m, self._cell_height_m))
         density = min(density, _MOST_SAMPLES / sum(float(one.areas.sum()) for one in faces))
-        points = []
-        ups = []
         for one in faces:
-            which = np.repeat(np.arange(len(one.areas)), rng.poisson(one.areas * density))
-            u, v = rng.random((2, len(which), 1))
-            outside = u + v > 1
-            u = np.where(outside, 1 - u, u)
-            v = np.where(outside, 1 - v, v)
-            a, b, c = np.moveaxis(one.corners[which], 1, 0)
-            points.append(a + (b - a) * u + (c - a) * v)
+            ends = np.cumsum(rng.poisson(one.areas * density))
+            count = int(ends[-1]) if len(ends) else 0
             up = one.normals[:, 2]
-            ups.append(((np.abs(up) if one.both else up) > _FACES_UP)[which])
-        return np.concatenate(points), np.concatenate(ups)
+            faces_up = (np.abs(up) if one.both else up) > _FACES_UP
+            for start in range(0, count, _BLOCK):
+                number = np.arange(start, min(start + _BLOCK, count))
+                which = np.searchsorted(ends, number, side="right")
+                points = _points_in(one.corners[which], rng)
+                off = np.abs(points[:, :2] - self._middle).max(axis=1)
+                near = off < _FARTHEST * self._cell_m
+                yield points[near], faces_up[which[near]]
 
     def _codes(self, i: Cells, j: Cells, k: Cells) -> Cells:
         return np.asarray((i * self._plan[1] + j) * self._heights + k)

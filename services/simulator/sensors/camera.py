@@ -153,6 +153,11 @@ class SimulatedView:
     """Returns whether a topic has subscribers; checked for expensive messages."""
 
     @property
+    def true_pose(self) -> tuple[float, float, float]:
+        """Ground truth: x, y in metres, heading in radians."""
+        return self.pose.x, self.pose.y, self.pose.heading
+
+    @property
     def camera(self) -> Lens:
         """The camera, with the people at their positions of this moment."""
         self.lens.walk(self.people)
@@ -254,17 +259,20 @@ class FindVictim:
     """Task of every simulated world: reach the victim, or the places that an operator marked."""
 
     def __init__(self) -> None:
-        self._marked: dict[tuple[str, str], list[Pose]] = {}
+        # By world, its victim and the goal.
+        self._marked: dict[tuple[str, Pose, str], list[Pose]] = {}
 
     def reached(self, view: SimulatedView, goal: str = "victim") -> bool:
         """Return whether the view shows the goal reached."""
-        places = self._marked.get((view.world.name, goal))
+        places = self._marked.get((view.world.name, view.world.victim, goal))
         return view.victim_found if places is None else any(map(view.near, places))
 
     def gone(self, view: SimulatedView, goal: str) -> bool:
         """Return whether the victim is absent."""
-        return view.victim is None and (view.world.name, goal) not in self._marked
+        key = (view.world.name, view.world.victim, goal)
+        return view.victim is None and key not in self._marked
 
     def told(self, view: SimulatedView, goal: str) -> None:
         """Add a goal that an operator marked."""
-        self._marked.setdefault((view.world.name, goal), []).append(view.pose)
+        key = (view.world.name, view.world.victim, goal)
+        self._marked.setdefault(key, []).append(view.pose)

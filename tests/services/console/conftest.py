@@ -32,6 +32,7 @@ class Nobody:
         self.library = Library(root)
         self.asked: list[object] = []
         self.held: object = None
+        self.stops = 0
         self.maps: list[tuple[str, bytes]] = []
 
     def do(self, what: Callable[..., None], *arguments: object) -> Future[None]:
@@ -47,7 +48,8 @@ class Nobody:
 
     def leave(self) -> None: ...
 
-    def stop(self) -> None: ...
+    def stop(self) -> None:
+        self.stops += 1
 
     def ask(self, ask: object, until_s: float) -> None:
         self.asked.append(ask)

@@ -78,6 +78,17 @@ def test_report_of_a_drive_is_one_file(library: Library, nobody: Nobody, page: P
     assert page.get("/report?of=drives/other.mcap")[0] == 404
 
 
+def test_kidnapped_run_is_listed_and_reported_as_such(tmp_path: Path) -> None:
+    first, *rest = recorded_messages.episode("run-1", frames=12, purpose="run")
+    moved = recorded_messages.event("run-1", 4, "kidnapped", purpose="run")
+    record(tmp_path / "drives", [first, moved, *rest])
+    library = Library(tmp_path)
+    library.look()
+    (recording,) = library.recordings()
+    assert recording.useless == "the robot was kidnapped (frame 4), unknown to its odometry"
+    assert "<dt>kidnapped</dt><dd>once</dd>" in report_page(recording)
+
+
 def test_report_escapes_text_of_a_recording() -> None:
     listed = ListedRecording("drives/a.mcap", 1.0, 5, goal="<script>alert(1)</script>")
     assert "<script" not in report_page(listed)

@@ -24,6 +24,7 @@ from services.robot.body import OdometryReading
 from services.robot.messages import odometry_message
 from services.simulator.sensors.camera import depth_message
 from tests.services.console.conftest import Nobody
+from tests.services.recordings import recorded_messages, test_recorder_files
 from tests.services.waiting import eventually
 from tests.smal.depth_world import MOUNT, depth
 from tests.system.console.console_site import act, run_in
@@ -360,6 +361,100 @@ def test_run_has_the_options_that_were_chosen(page: Page, nobody: Nobody, board:
     assert (run.victim, run.obstacles, run.people, run.kidnap_tick) == ("moved", 2, 5, 100)
 
 
+def show_robot(board: Board) -> None:
+    """Have a simulated robot stand in its world, 10 m wide."""
+    tell_robot(board, world="yard", worlds="yard", variation="day", variations="day")
+    plan = PlanReply(world="yard", start=(0.0, 0.0), victim=(10.0, 0.0), shapes=())
+    board.put("ground", plan.model_dump())
+    board.put("stands", {"pose": [5.0, 0.0, 0.0], "at": board.clock()})
+
+
+def test_robot_is_carried_when_a_person_drags_it(page: Page, nobody: Nobody, board: Board) -> None:
+    show_robot(board)
+    page.wait_for_selector("#carry:visible")
+    page.click("#enlarge")
+
+    def drag(right: float, up: float) -> Any:
+        board.put("stands", {"pose": [5.0, 0.0, 0.0], "at": board.clock()})
+        box = page.locator("#carry").bounding_box()
+        x = box["x"] + box["width"] / 2
+        y = box["y"] + box["height"] / 2
+        page.mouse.move(x, y)
+        page.mouse.down()
+        for share in (0.2, 0.4, 0.6, 0.8, 1.0):
+            page.mouse.move(x + share * right, y - share * up)
+        page.mouse.up()
+        return eventually(lambda: nobody.asked.pop() if nobody.asked else None)
+
+    ahead = drag(100.0, 0.0)
+    up = drag(0.0, 100.0)
+    # The map shows 10 m between its margins of 18 pixels, and the robot faces where it was pulled.
+    metres = 100.0 * 10.0 / (page.locator("#map canvas").bounding_box()["width"] - 36.0)
+    assert (ahead.x_m, ahead.y_m, ahead.heading_rad) == pytest.approx(
+        (5.0 + metres, 0.0, 0.0), abs=0.05
+    )
+    assert (up.x_m, up.y_m, up.heading_rad) == pytest.approx((5.0, metres, 1.5), abs=0.15)
+    page.click("#steps [data-panel=run]")
+    assert page.input_value("#run-form [name=start]") == "here"
+    board.put("robot", DRIVE | {"at": board.clock()})
+    page.wait_for_selector(
+        "#carry", state="hidden"
+    )  # not in a drive, which would teach a wrong way
+
+
+def test_robot_is_carried_by_keys_unless_escape_is_pressed(
+    page: Page, nobody: Nobody, board: Board
+) -> None:
+    show_robot(board)
+    page.wait_for_selector("#carry:visible")
+    page.focus("#carry")
+    for last in ("Escape", "Enter"):
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#map-state:has-text('Escape cancels')")
+        for _ in range(10):
+            page.keyboard.press("ArrowRight")
+        page.keyboard.press(last)
+        page.wait_for_selector("#map-state", state="hidden")
+    (asked,) = eventually(lambda: nobody.asked)
+    assert asked.do == "carry"
+    assert asked.x_m > 5.5
+    assert nobody.stops == 0
+    page.keyboard.press("Escape")
+    eventually(lambda: nobody.stops)
+
+
+@pytest.mark.parametrize("by", ["mouse", "keys"])
+def test_start_and_goal_are_chosen_on_the_map(
+    page: Page, nobody: Nobody, board: Board, by: str
+) -> None:
+    show_robot(board)
+    page.click("#steps [data-panel=teach]")
+    page.click("#choose")
+    page.wait_for_selector("#map-state:has-text('Click the start')")
+    box = page.locator("#map canvas").bounding_box()
+    middle = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    for k in (-1, 1):
+        if by == "mouse":
+            page.mouse.click(middle[0] + 60 * k, middle[1])
+        else:
+            for _ in range(15 + 5 * k):
+                page.keyboard.press("ArrowRight" if k > 0 else "ArrowLeft")
+            page.keyboard.press("Enter")
+        if k < 0:
+            page.wait_for_selector("#map-state:has-text('Click the goal')")
+    (asked,) = eventually(lambda: nobody.asked)
+    assert asked.do == "task"
+    assert asked.start[0] < 5.0 < asked.goal[0]
+    assert asked.start[1] == pytest.approx(asked.goal[1])
+    page.wait_for_selector("#map-state", state="hidden")
+    page.click("#choose")
+    page.keyboard.press("Escape")
+    page.wait_for_selector("#map-state", state="hidden")
+    assert nobody.stops == 0
+    board.put("robot", DRIVE | {"at": board.clock()})
+    page.wait_for_selector("#choose[disabled]", state="attached")
+
+
 def test_files_are_renamed_and_deleted(page: Page, nobody: Nobody, board: Board) -> None:
     tell_models(board, **{"models/way.smal": ["victim"]})
     page.click("#steps [data-panel=run]")
@@ -471,6 +566,41 @@ def test_finish_shows_the_run_when_it_has_ended(page: Page, board: Board) -> Non
     page.click("#last-run")
     page.wait_for_selector("#finish:visible")
     assert page.get_attribute("#steps [data-panel=run]", "aria-pressed") == "true"
+
+
+def test_finish_is_there_again_after_a_reload(
+    page: Page, nobody: Nobody, board: Board, tmp_path: Path
+) -> None:
+    library = nobody.library
+    (tmp_path / "drives").mkdir()
+    for name in ("run-before", "run-1"):
+        messages = list(recorded_messages.episode(name, frames=12, purpose="run"))
+        test_recorder_files.record(tmp_path / "drives", messages)
+    board.put("library", library.look())
+    run_and_find(page, board)
+    page.reload()
+    page.wait_for_selector("#finish:visible")
+    assert page.inner_text("#finish-title") == "Found"
+    assert page.inner_text("#finish .facts") == "7.0 m driven in 1.1 s, 1.0 m from the goal"
+    assert page.locator("#finish .film img").count() == 6
+    assert page.get_attribute("#finish input", "aria-valuetext") == "1.1 s of 1.1 s"
+    assert page.get_attribute("#report", "href") == "report?of=drives%2Frun-1.mcap"
+    page.click("#steps [data-panel=learn]")
+    listed = page.locator("#recordings .report")
+    assert {one.get_attribute("href") for one in listed.all()} == {
+        f"report?of=drives%2F{name}.mcap" for name in ("run-before", "run-1")
+    }
+    # A drive since then: the card waits until it is asked for.
+    board.put("robot", DRIVE | {"episode": None, "outcome": "found", "at": board.clock()})
+    board.put("driven", {"episode": "drive-1", "metres": 3.0})
+    board.put("goal", {"episode": "drive-1", "at": None, "boxes": []})
+    page.reload()
+    page.click("#steps [data-panel=run]")
+    assert page.is_hidden("#finish")
+    page.click("#last-run")
+    page.wait_for_selector("#finish:visible")
+    metres = library.recordings()[0].metres
+    assert page.inner_text("#finish .facts") == f"{metres:.1f} m driven in 1.1 s"
 
 
 LONG_RUN = """new Promise((done) => document.querySelector("#camera canvas").toBlob(done)).then(async (picture) => {

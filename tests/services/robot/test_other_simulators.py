@@ -210,6 +210,38 @@ def test_gymnasium_environment_is_a_body() -> None:
     assert episode.outcome == "collision"
 
 
+class Guided(Corridor):
+    """A corridor that reports its route and odometry, and goes on after the goal."""
+
+    def reset(self, **how: Any) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any]]:
+        self.options = how["options"]
+        image, info = super().reset()
+        return image, self._more(info) | {"route": np.array([[0, 0], [10, 0]]), "found_m": 2.0}
+
+    def step(self, action: np.int64) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        image, _, _, _, info = super().step(action)
+        return image, 0.0, False, False, self._more(info)
+
+    def _more(self, info: dict[str, Any]) -> dict[str, Any]:
+        return info | {"odometry": (2.0 * self.at, 0.0, 0.0), "is_success": self.at >= 8}
+
+
+def test_gymnasium_body_takes_odometry_route_and_options() -> None:
+    env = Guided()
+    body = GymnasiumBody(env, ACTIONS, Kinematics(1.0, 1.0), frame_s=0.5, image="camera")
+    episode_of(body)
+    assert env.options is None
+    body.conditions = ("start", "kidnap_tick")
+    episode = episode_of(body, start="anywhere", kidnap_tick=3, until_said=True)
+    assert env.options == {"purpose": "run", "start": "anywhere", "kidnap_tick": 3}
+    assert episode.beginning.route == ((0.0, 0.0), (10.0, 0.0))
+    assert episode.beginning.found_m == 2.0
+    views = [episode.step("forward") for _ in range(9)]
+    assert views[0].odometry == (2.0, 0.0, 0.0, 4.0, 0.0)
+    assert [view.reached for view in views] == [False] * 7 + [True, True]
+    assert views[-1].pose == (9.0, 0.0, 0.0)
+
+
 def test_gymnasium_body_spreads_small_turns() -> None:
     corridor = Corridor()
     body = GymnasiumBody(corridor, ACTIONS, Kinematics(1.0, 1.0), image="camera")

@@ -9,8 +9,9 @@ from schemas.base import Message
 from schemas.camera import CameraInfo, CompressedImage, DepthImage
 from schemas.command import CommandApplied
 from schemas.episode import Episode
+from schemas.heartbeat import Heartbeat
 from schemas.motion import Imu, Odometry, TruePose
-from schemas.rpc import EndRequest, ResetRequest, ResumeRequest
+from schemas.rpc import CarryRequest, EndRequest, ResetRequest, ResumeRequest, TaskRequest
 from services.kit.jpeg import decode_jpeg, encode_jpeg
 from services.kit.node import ServiceError
 from services.robot.gate import MAX_AGE_S
@@ -20,6 +21,7 @@ from services.robot.runner import EpisodeRunner
 from services.robot.task import OperatorsTask
 from tests.schemas.messages import HEADER
 from tests.services.robot.driving import (
+    Runner,
     SteppedRealTime,
     advance,
     answer,
@@ -302,6 +304,59 @@ def test_run_does_not_time_out_while_it_stands_for_its_operator() -> None:
     runner.gate.arm(runner.gate.latched_stop, "")
     runner.resume(ResumeRequest(episode=run.id, tick=run.tick))
     assert events(advance(runner, clock, 1.0))[-1] == ("ended", "timeout")
+
+
+class CarriedBody(LineBody):
+    """A robot on a line that a person can carry along it."""
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        return self.x, 0.0, 0.0
+
+    def carry(self, x_m: float, y_m: float, heading_rad: float) -> None:
+        self.x = x_m
+
+    def choose_task(self, start: tuple[float, float], goal: tuple[float, float]) -> None:
+        self.x = start[0]
+        self.goal = goal[0]
+
+
+def carry(runner: Runner, session: str = "") -> None:
+    runner.carry(CarryRequest(x_m=7.0, y_m=0.0, heading_rad=0.0, session=session))
+
+
+def test_run_reports_its_kidnapping_when_it_was_carried() -> None:
+    runner, first = begin(CarriedBody(Clock()))
+    assert ("kidnapped", None) not in events(first)
+    carry(runner)
+    frame = answer(runner)
+    assert ("kidnapped", None) in events(frame)
+    assert next(one for one in frame if isinstance(one, TruePose)).x_m > 7.0
+    assert ("kidnapped", None) not in events(answer(runner))
+    runner, _ = begin(CarriedBody(Clock()), kidnap_tick=1)
+    assert ("kidnapped", None) in events(answer(runner)), "by request as well"
+
+
+def test_robot_is_not_carried_when_that_is_no_simulated_run() -> None:
+    runner, _ = begin(LineBody(Clock()))
+    with pytest.raises(ServiceError, match="only a simulated robot can be carried"):
+        carry(runner)
+    runner, _ = begin(CarriedBody(Clock()), purpose="drive", driver="teleop")
+    with pytest.raises(ServiceError, match="this drive would teach a wrong way"):
+        carry(runner)
+    task = TaskRequest(start=(2.0, 0.0), goal=(9.0, 0.0))
+    with pytest.raises(ServiceError, match="an episode runs"):
+        runner.choose_task(task)
+    runner = runner_of(CarriedBody(Clock()), armed(attended=True))
+    carry(runner)  # before an episode
+    assert runner.body.x == 7.0
+    runner.choose_task(task)
+    assert (runner.body.x, runner.body.goal) == (2.0, 9.0)
+    pulse = runner.pulse()
+    own = {"session": "a", "name": "console", "sequence": 0, "answers": pulse.number}
+    runner.hear(Heartbeat.after(pulse, **own))
+    with pytest.raises(ServiceError, match="only the operator"):
+        carry(runner, "another")
 
 
 def test_unknown_mode_is_refused_in_one_line() -> None:

@@ -1,20 +1,25 @@
 """The simulated robot as a body: its world follows the clock."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from schemas.base import KEYS, Message, Velocity
 from schemas.rpc import ResetRequest
+from services.kit.node import ServiceError
 from services.robot.loop import PERIOD_S
 from services.simulator.base import KinematicBase
 from services.simulator.body import WATCHDOG_S, SimulatedBody
+from services.simulator.plan import plan_of
 from services.simulator.robots import DriveTrain
 from services.simulator.sensors.camera import FOCAL, depth_message
 from services.simulator.sensors.depth import measured
 from services.simulator.simulation import Simulation
 from services.simulator.world import load_world
+from services.simulator.world.route import plan_route
+from services.simulator.worlds import SimulatorSettings, Worlds
 from smal.obstacles.clearance import Mount
 from tests.services.robot.line import Clock
 from tests.services.simulator.simulator_driving import StubCamera
@@ -92,6 +97,61 @@ def test_body_starts_as_asked_and_is_kidnapped_on_request() -> None:
     moved = carried.look(2).pose
     assert math.hypot(moved.x - before[0], moved.y - before[1]) > 1.0
     assert carried.look(3).pose == moved, "once"
+
+
+def test_robot_is_carried_only_to_free_places() -> None:
+    body = body_of(Clock(), "lockstep")
+    body.advance(KEYS["forward"], 0.5)
+    wheels = body.look(1).odometry
+    victim = YARD.victim
+    x, y = plan_route(YARD, start_of(body))[-2]
+    body.carry(float(x), float(y), 1.5)
+    assert body.pose == (float(x), float(y), 1.5)
+    assert body.look(2).odometry[:3] == wheels[:3]
+    wall = YARD.place.solids[0].shape.representative_point()
+    for there, why in (
+        ((wall.x, wall.y), "no room for the robot"),
+        ((1e4, 0.0), "outside of yard"),
+    ):
+        with pytest.raises(ServiceError, match=why):
+            body.carry(*there, 0.0)
+    assert body.pose == (float(x), float(y), 1.5), "it stays where it was"
+    here = body.begin(ResetRequest(seed=2, start="here"))
+    assert body.pose == (float(x), float(y), 1.5)
+    assert here.route[0] == (float(x), float(y))
+    assert here.route[-1] == (victim.x, victim.y)
+
+
+def test_task_is_chosen_only_along_a_free_way(tmp_path: Path) -> None:
+    worlds = Worlds(SimulatorSettings(world="yard", root=tmp_path))
+    simulation = Simulation(YARD, StubCamera(), KinematicBase(YARD.place, PERFECT))
+    body = SimulatedBody(simulation, Clock(), worlds=worlds)
+    taught = plan_of(simulation.world)
+    route = plan_route(YARD, (YARD.start.x, YARD.start.y))
+    wall = YARD.place.solids[0].shape.representative_point()
+    there, back = (tuple(map(float, route[k])) for k in (-2, 0))
+    for goal, why in (
+        ((wall.x, wall.y), "no room for the robot"),
+        ((there[0] + 0.5, there[1]), "too close"),
+        ((1e4, 0.0), "outside of yard"),
+    ):
+        with pytest.raises(ServiceError, match=why):
+            body.choose_task(there, goal)
+    assert plan_of(simulation.world) == taught, "the world stays as it was"
+    assert taught.route[-1] == pytest.approx((YARD.victim.x, YARD.victim.y), abs=0.1)
+    body.choose_task(there, back)
+    assert simulation.name == "yard", "the same world, for models as well"
+    begun = body.begin(ResetRequest(seed=1))
+    assert begun.victim == begun.route[-1] == back
+    assert math.dist(body.pose[:2], there) < 1.5
+    chosen = plan_of(simulation.world)
+    assert (chosen.start, chosen.victim) == (there, back)
+    assert (
+        body.detail()["task"]
+        != SimulatedBody(Simulation(YARD, StubCamera()), worlds=worlds).detail()["task"]
+    )
+    # Another variation of the world keeps the task.
+    assert worlds.tasks["yard"][1] == simulation.world.victim
 
 
 def test_depth_is_told_in_millimetres_with_how_its_camera_sits() -> None:

@@ -191,7 +191,8 @@ def arm(page: Page, site: Site) -> bool:
 
 def was_lost(page: Page, site: Site) -> bool:
     """Arm a robot that had lost its operator, since the machine was busy elsewhere; a person would go on as well."""
-    if site.robot("stop_cause") != "operator_lost":
+    # Between episodes the page offers no “Resume”: the next drive or run arms the robot.
+    if site.robot("stop_cause") != "operator_lost" or site.robot("episode") is None:
         return False
     for key in KEYS.values():
         page.keyboard.up(key)

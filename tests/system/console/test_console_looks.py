@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -11,6 +12,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from services.robot.loop import STAND_WITHIN_S
+from services.simulator.world import load_world
+from services.simulator.world.route import plan_route
 from tests.services.waiting import eventually
 from tests.system.console.console_site import Site, act, data, hold, insist, run_in, show
 
@@ -94,6 +97,32 @@ def test_axe_core_finds_no_violation(page: Page, site: Site) -> None:
     wrong = violations("run", sizes={390: SIZES[390]})
     assert len(wrong) == 2
     assert all(one == ["color-contrast: #seat"] for one in wrong.values())
+
+
+@pytest.mark.usefixtures("taught_here")
+def test_run_is_kidnapped_when_a_person_moves_the_robot(page: Page, site: Site) -> None:
+    begin_a_run(page, site)
+    before = site.poses[-1]
+    route = plan_route(load_world(site.root / "worlds" / "near.json"), (before.x_m, before.y_m))
+    east, north = route[1] - route[0]
+    if abs(east) > abs(north):
+        key = "ArrowRight" if east > 0 else "ArrowLeft"
+    else:
+        key = "ArrowUp" if north > 0 else "ArrowDown"
+
+    def carry() -> None:
+        page.focus("#carry")
+        for one in ("Enter", *[key] * 5, "Enter"):
+            page.keyboard.press(one)
+
+    insist(page, site, carry, lambda: "kidnapped" in page.text_content("#news"))
+    mine = [(one.x_m, one.y_m) for one in site.poses if one.episode == before.episode]
+    assert max(map(math.dist, mine, mine[1:])) > 0.5
+    act(page, "End the run")
+    act(page, "Really end?")
+    page.wait_for_selector("#finish .facts:has-text('kidnapped')")
+    page.reload()
+    page.wait_for_selector("#finish .facts:has-text('kidnapped')", timeout=60_000)
 
 
 CONTROLS = """window.controls = [...document.querySelectorAll("a, button, input, select, textarea, [tabindex]")]

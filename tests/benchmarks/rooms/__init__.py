@@ -1,0 +1,1 @@
+"""A textured MuJoCo scene of several rooms, as a foreign simulator behind the Gymnasium adapter."""
