@@ -78,7 +78,7 @@ class TaughtPlace:
 
 
 class Localizer:
-    """Estimates the robot's place from frame to frame by features, and by odometry or the usual movement of atoms.
+    """Estimates the robot's place from frame to frame by features, and by odometry or a visual compass and atoms.
 
     Parameters
     ----------
@@ -267,8 +267,9 @@ class Localizer:
             Odometry pose at the frame: x, y, and heading in radians. It is ignored if the map was taught without
             odometry, because the map then has another unit.
         executed : sequence of Atom or Motion
-            Executed since the frame before, for equal parts of the time. Used only without odometry. For a frame
-            without atoms and odometry, the movement follows from the next pose.
+            Executed since the frame before, for equal parts of the time. Used only without odometry, for the way, and
+            for the turn where the images do not show it (`smal.visual_compass`). For a frame without atoms and
+            odometry, the movement follows from the next pose.
         elapsed_s : float, optional
             Time since the frame before, seconds; by default a taught tick.
 
