@@ -26,6 +26,7 @@ from smal.movement import (
     STILL,
     Atom,
     Motion,
+    MotionNoise,
     Movement,
     is_pose,
     placed,
@@ -288,19 +289,8 @@ class Localizer:
                 "the pose by the wheels must be three finite numbers, x, y and heading in radians, "
                 f"got {odometry!r:.60}"
             )
-        movement = STILL
-        noise = BY_ATOMS
-        if odometry is not None and self._pose is not None:
-            movement = Movement.between(self._pose, odometry)
-            noise = BY_ODOMETRY
-        elif executed:
-            movement = self._usual_movement(executed, elapsed_s)
         picture = self._compass_picture(raw_features)
-        if picture is not None and self._last_picture is not None:
-            shift = shift_between(self._last_picture, picture)
-            if shift is not None:
-                movement = replace(movement, turn_rad=shift * self._map.field_rad)
-                noise = BY_CAMERA
+        movement, noise = self._moved(picture, odometry, executed, elapsed_s)
         belief = self._filter.observe(raw_features, movement, noise)
         if noise is BY_ODOMETRY and _drives_ahead(executed):
             belief = replace(belief, moved=movement.ahead)
@@ -321,6 +311,24 @@ class Localizer:
         if self._map.odometry or not usable:
             return None
         return picture_of(self._centering.apply(raw_features), self.features)
+
+    def _moved(
+        self,
+        picture: Float32s | None,
+        odometry: Sequence[float] | None,
+        executed: Sequence[Atom | Motion],
+        elapsed_s: float | None,
+    ) -> tuple[Movement, MotionNoise]:
+        """Return the movement since the frame before, and its noise."""
+        if odometry is not None and self._pose is not None:
+            return Movement.between(self._pose, odometry), BY_ODOMETRY
+        movement = self._usual_movement(executed, elapsed_s) if executed else STILL
+        if picture is None or self._last_picture is None:
+            return movement, BY_ATOMS
+        shift = shift_between(self._last_picture, picture)
+        if shift is None:
+            return movement, BY_ATOMS
+        return replace(movement, turn_rad=shift * self._map.field_rad), BY_CAMERA
 
     def _usual_movement(
         self, executed: Sequence[Atom | Motion], elapsed_s: float | None
