@@ -521,6 +521,8 @@ def test_next_step_is_seen_without_scrolling(
     page.wait_for_selector("#seat:text('Another person drives')")
     page.wait_for_selector("#next:text('Begin a drive')")
     assert run_in(page, OVERLAP.format("#seat", "#steps button:last-child")) == 0
+    assert run_in(page, "document.documentElement.scrollWidth") == size[0]
+    assert page.locator("h1").bounding_box()["width"] > 50
     for part in ("#next", "#stop", "#pad", ".pill", "#camera > .picture"):
         box = page.locator(part).bounding_box()
         assert 0 <= box["y"] <= size[1] - box["height"], part
