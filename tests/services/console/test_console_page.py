@@ -511,7 +511,7 @@ def test_map_is_whole_beside_pad_and_buttons(
     assert run_in(page, OVERLAP.format("#map canvas", "#pad")) == 0
 
 
-@pytest.mark.parametrize("size", [(1440, 900), (1024, 768), (390, 844)])
+@pytest.mark.parametrize("size", [(1440, 900), (1024, 768), (768, 1024), (390, 844)])
 def test_next_step_is_seen_without_scrolling(
     page: Page, board: Board, size: tuple[int, int]
 ) -> None:
