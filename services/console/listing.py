@@ -5,9 +5,11 @@ import multiprocessing
 import os
 import resource
 import signal
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import groupby
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
@@ -61,8 +63,8 @@ class ListedRecording:
     useless: str = ""  # Reason why it cannot teach; empty if it can.
     thumbnails: tuple[bytes, ...] = ()
     # Driven path in metres, in the world's frame if the robot publishes its true poses, else by
-    # odometry, and its length by odometry.
-    path: tuple[tuple[float, float], ...] = ()
+    # odometry, and its length by odometry. A kidnapping ends a piece of the path.
+    path: tuple[tuple[tuple[float, float], ...], ...] = ()
     metres: float = 0.0
 
     def shown(self) -> dict[str, object]:
@@ -180,13 +182,21 @@ def read(path: Path, listed: ListedRecording) -> ListedRecording:
         seconds=(ticks[-1] - ticks[0]) * TICK_S if ticks else 0.0,
         useless=useless or "",
         thumbnails=tuple(jpeg for _, jpeg in _pictures(episode, THUMBNAILS, _WIDTH)),
-        path=tuple((_route(episode.poses) if episode.poses else driven).points),
+        path=_pieces(episode),
         metres=driven.metres,
         **same,
     )
 
 
-def _route(poses: Mapping[int, Odometry] | Mapping[int, TruePose]) -> DrivenRoute:
+def _pieces(episode: RecordedEpisode) -> tuple[tuple[tuple[float, float], ...], ...]:
+    """Return the pieces of the driven path between kidnappings."""
+    poses = episode.poses or episode.odometry
+    carried = sorted(episode.kidnapped)
+    pieces = groupby(sorted(poses), key=lambda tick: bisect_right(carried, tick))
+    return tuple(tuple(_route({tick: poses[tick] for tick in ticks}).points) for _, ticks in pieces)
+
+
+def _route(poses: Mapping[int, Odometry | TruePose]) -> DrivenRoute:
     route = DrivenRoute()
     for tick in sorted(poses):
         route.add(poses[tick].x_m, poses[tick].y_m)

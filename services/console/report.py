@@ -24,7 +24,7 @@ _LEAST_M: Final = 4.0
 class _Map(NamedTuple):
     """Path in an image of this size, metres, with y downwards as in SVG."""
 
-    points: list[tuple[float, float]]
+    pieces: list[list[tuple[float, float]]]
     size: float
     line: float  # Thickness of the path.
 
@@ -52,18 +52,19 @@ def report_page(recording: ListedRecording) -> str:
     )
 
 
-def _map(path: tuple[tuple[float, float], ...]) -> _Map | None:
-    """Return a square map around a path; None without a path."""
+def _map(path: tuple[tuple[tuple[float, float], ...], ...]) -> _Map | None:
+    """Return a square map around the pieces of a path; None without a path."""
     if not path:
         return None
-    spans = [(min(values), max(values)) for values in zip(*path, strict=True)]
+    every = (point for piece in path for point in piece)
+    spans = [(min(values), max(values)) for values in zip(*every, strict=True)]
     extent = max(_LEAST_M, *(high - low for low, high in spans))
     size = extent * (1.0 + 2.0 * _MARGIN)
     (left, right), (low, high) = spans
     to_x = size / 2.0 - (left + right) / 2.0
     to_y = size / 2.0 + (low + high) / 2.0
-    points = [(round(x + to_x, 2), round(to_y - y, 2)) for x, y in path]
-    return _Map(points, round(size, 2), round(size / 150.0, 3))
+    pieces = [[(round(x + to_x, 2), round(to_y - y, 2)) for x, y in piece] for piece in path]
+    return _Map(pieces, round(size, 2), round(size / 150.0, 3))
 
 
 @cache

@@ -77,13 +77,16 @@ class RunningEpisode(Generic[V]):
         """End by the robot's report, by the operator's confirmation, or by neither.
 
         Without a judge or a report the outcome is found if the last frame shows the goal, and
-        otherwise aborted.
+        otherwise aborted. A run `until_said` that has reached its goal without a report is missed.
         """
         if told and not self.reached:
             self._task.told(self.view, self.request.goal)
         gone = None if said is None else self._task.gone(self.view, self.request.goal)
         if said == "not_here":
             return Ended("not_here", right=gone)
+        silent = self.request.until_said and said is None and not told
+        if silent and (self.passed or self.reached):
+            return Ended("missed")
         if told or self.reached:
             return Ended("found", "operator" if told else "task")
         return Ended("aborted" if gone is None else "false_goal")

@@ -24,7 +24,6 @@ from services.simulator.world.route import (
     first_pose,
     obstacles_of,
     plan_route,
-    route_length_m,
 )
 from services.simulator.world.task import moved_victim, sample_start
 from smal.obstacles.clearance import Mount
@@ -224,10 +223,11 @@ class Simulation:
             self._check_room(Pose(x, y, 0.0))
         victim = replace(before.victim, x=goal[0], y=goal[1])
         route = plan_route(replace(before, victim=victim), start)
-        if route_length_m(route) < self.found_m:
+        apart_m = math.dist(start, goal)
+        if apart_m < self.found_m:
             raise WorldError(
-                f"start and goal are too close ({route_length_m(route):.1f} m < minimum "
-                f"{self.found_m:g} m); choose them further apart"
+                f"start and goal are too close ({apart_m:.1f} m < minimum {self.found_m:g} m); "
+                "choose them further apart"
             )
         try:
             self._enter(replace(before, start=first_pose(route), victim=victim))

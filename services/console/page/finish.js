@@ -11,7 +11,7 @@ const VIDEO_HZ = 15, BITS_S = 4e6, LAST_MS = 1000;  // so a video takes at most 
 const TYPES = { "video/mp4;codecs=avc1.42E01F": "mp4", "video/webm": "webm" };
 const FETCHED_MS = 60_000;  // time of the browser to write the file
 const card = $("#finish"), [camera, map] = card.querySelectorAll("canvas"), bar = card.querySelector("input");
-const film = $("#finish .film"), report = $("#report"), saving = $("#save-video");
+const film = $("#finish .film"), report = $("#report"), saving = $("#save-video"), again = $("#last-run");
 
 let run = null, closed = true, last = null, loading = false;
 
@@ -42,11 +42,10 @@ function keep(moment) {
 /** Show the end of the last run, from its recording after a reload; `off` is the distance to the goal in metres, or null. */
 export function drawFinish(state, off) {
   const { robot, driven, goal } = state;
-  if (robot?.episode) {
-    if (robot.purpose !== "run") closed = true;
-    return;
-  }
-  if (!run) return offer(state);
+  if (!robot?.episode && !run) offer(state);
+  again.hidden = Boolean(robot?.episode || robot?.waiting) || !(run?.end || last);
+  if (robot?.episode && robot.purpose !== "run") closed = true;
+  if (robot?.episode || !run) return;
   if (!run.end) {
     if (!robot?.outcome || robot.purpose !== "run") return;
     if (run.moments.at(-1) !== run.latest) run.moments.push(run.latest);
@@ -69,7 +68,6 @@ function offer(state) {
   const of = ({ purpose, frames, episode }) => purpose === "run" && frames > 0 && (!ran || !driven || episode === driven.episode);
   const first = last === null;
   last = library?.recordings.find(of) ?? null;
-  $("#last-run").hidden = last === null;
   if (first && last && ran) load(state);
 }
 
@@ -112,7 +110,6 @@ function finish(state, { outcome, seconds: s, kidnapped, metres }) {
     return element("button", { type: "button", "aria-label": `Show ${seconds(s)}`, onclick: () => show(k) }, image);
   }));
   closed = false;
-  $("#last-run").hidden = false;
   show(last);
 }
 
@@ -201,7 +198,7 @@ export function wireFinish(redraw, told, state) {
     redraw();
   };
   $("#close-finish").onclick = open(false);
-  $("#last-run").onclick = () => (run ? open(true)() : load(state(), redraw));
+  again.onclick = () => (run ? open(true)() : load(state(), redraw));
   saving.onclick = async () => {
     if (saving.getAttribute("aria-disabled") === "true") return;
     saving.setAttribute("aria-disabled", "true");

@@ -1,6 +1,6 @@
 // The header: the step, one sentence, and the next actions, all derived from one state.
 
-import { CAUSES, MISSED, OUTCOMES, PLANS, REASONS, jobFacts, jobText, seconds, tooSlow } from "./words.js";
+import { CAUSES, HELD_UP, MISSED, OUTCOMES, PLANS, REASONS, jobFacts, jobText, seconds, tooSlow } from "./words.js";
 
 const SILENT_S = 2, SETTLED_S = 5, SLOW = 0.8;
 /** Action that begins each step. */
@@ -34,13 +34,14 @@ function trouble({ link, robot, age, ill, unattended }) {
 /** Sentence about the running episode, as [level, text]. */
 function now({ robot, sits, taken, unattended, frames_hz, plan }) {
   const hand = robot.driver === "teleop", rate = robot.tick / robot.seconds;
-  if (unattended && robot.seconds > SETTLED_S && rate < SLOW * frames_hz) return ["warn", tooSlow(rate, frames_hz)];
   const stands = hand && robot.reason === "silence";
+  const correct = sits ? "; hold a key to correct it" : "";
+  if (robot.source === "policy" && robot.reason === "obstacle") return ["warn", `${HELD_UP}${correct}`];
   if (REASONS[robot.reason] && !stands) return REASONS[robot.reason];
+  if (robot.source === "policy" && STUCK.includes(plan)) return ["warn", `The robot ${PLANS[plan]}${correct}`];
+  if (unattended && robot.seconds > SETTLED_S && rate < SLOW * frames_hz) return ["warn", tooSlow(rate, frames_hz)];
   if (hand && sits) return ["good", `Drive to ${robot.goal}, then press “Found”`];
   if (stands) return ["warn", taken ? "The driver holds no key" : "Take control, then hold a key to drive"];
-  const correct = sits ? "; hold a key to correct it" : "";
-  if (robot.source === "policy" && STUCK.includes(plan)) return ["warn", `The robot ${PLANS[plan]}${correct}`];
   if (robot.source === "policy") return ["good", `The robot drives to ${robot.goal} by itself${correct}`];
   return ["good", robot.source ? "A person drives" : "The robot stands"];
 }
@@ -63,9 +64,9 @@ function during({ driver, source, reason, cause, emergency }) {
 }
 
 /** Next step: what runs now, else what the newest drive and model still need. */
-function nextStep({ robot, job, drives, untaught, models }) {
+function nextStep({ robot, job, drives, untaught, unlisted, models }) {
   if (running(robot)) return robot.purpose === "run" ? "run" : "teach";
-  const drove = robot?.purpose === "drive" && robot.outcome === "found" && !models;
+  const drove = robot?.purpose === "drive" && robot.outcome === "found" && (!models || unlisted);
   if (learning(job) || untaught || drove) return "learn";
   if (models) return "run";
   return drives ? "learn" : "teach";

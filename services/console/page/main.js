@@ -80,7 +80,7 @@ function drawLead() {
     plan: watch.age("plan") < OLD_S ? watch.state.plan?.kind : null,
     robot, job, taken, chosen, frames_hz, unattended: Boolean(health?.unattended), link: link(), age: watch.age("robot"),
     ill: ill === "robot: does not answer" ? "" : ill, sits: drive.sits, opening: drive.sits ? opening() : "",
-    distance: distance(watch.state), ...known(),
+    distance: distance(watch.state), ...known(robot),
   };
   const before = led;
   led = lead(state);

@@ -7,7 +7,7 @@ import { chosenWorld, madeWorld, showNews, worldOf } from "./world.js";
 const REALLY_MS = 3000;
 const list = $("#recordings"), learn = $("#learn-form"), run = $("#run-form"), job = $("#job"), models = $("#models ul");
 const chosen = new Map();
-let library = { recordings: [], models: [] }, world = null;
+let library = { recordings: [], models: [] }, world = null, driving = null;
 
 export function wireTeaching(ask) {
   const plain = (name) => name.trim().toLowerCase().replace(/\s+/g, "-") || null;
@@ -74,14 +74,17 @@ function taughtHere({ worlds = [] }) {
   return !here || worlds.length === 0 || worlds.includes(here);
 }
 
-/** Facts for the header about the files in the robot's world. */
-export function known() {
+/** Facts for the header about the files in the robot's world, and whether the list lacks the drive that this page saw last. */
+export function known(robot) {
+  if (robot?.episode && robot.purpose === "drive") driving = robot.episode;
+  const unlisted = driving !== null && !library.recordings.some(({ episode, outcome }) => episode === driving && outcome);
+  if (!unlisted) driving = null;  // deleted later, it is no longer awaited
   const here = worldOf(world), drives = library.recordings.filter((one) => teaches(one, here));
   const usable = library.models.filter((one) => !one.useless && taughtHere(one));
   const newest = Math.max(0, ...usable.map(({ when_s = 0 }) => when_s));
   return {
     drives: drives.length, models: usable.length, picked: picked().length, usable: Boolean(run.elements.model.value),
-    untaught: drives.some(({ when_s }) => when_s > newest),
+    untaught: drives.some(({ when_s }) => when_s > newest), unlisted,
   };
 }
 

@@ -32,6 +32,7 @@ export const REASONS = {
   no_depth: ["bad", "The robot stands: its depth camera shows no ground, is frozen, or is too late"],
   insisted: ["warn", "There is an obstacle: it goes on slowly, since you insist"],
 };
+export const HELD_UP = "An obstacle slows down or stops the robot";
 export const tooSlow = (rate, wanted) =>
   `This computer is too slow for real time (${Math.round(rate)} of ${Math.round(wanted)} frames a second)`;
 export const LABELS = {

@@ -43,6 +43,10 @@ STATES: dict[str, tuple[dict[str, Any], tuple[str, str, str, str]]] = {
         {"robot": FOUND | {"purpose": "drive"}, **TAUGHT},
         ("learn", "good", "You reached the goal: 41 s. Now let the robot learn the way", "learn"),
     ),
+    "a second drive is not listed yet": (
+        {"robot": FOUND | {"purpose": "drive"}, **LEARNED, "unlisted": True},
+        ("learn", "good", "You reached the goal: 41 s. Now let the robot learn the way", "learn"),
+    ),
     "it learns": ({"robot": IDLE, "job": LEARNS}, ("learn", "good", "Learning w …", "cancel")),
     "learning fails": (
         {"robot": IDLE, "job": FAILED, **TAUGHT},
@@ -72,6 +76,14 @@ STATES: dict[str, tuple[dict[str, Any], tuple[str, str, str, str]]] = {
     "the computer is slow": (
         {"robot": RUN | {"tick": 120}, **LEARNED},
         ("run", "warn", SLOW, "quit"),
+    ),
+    "an obstacle stops a slow run": (
+        {"robot": RUN | {"tick": 120, "reason": "obstacle"}, "sits": True},
+        ("run", "warn", "An obstacle slows down or stops the robot; hold a key to correct it", "quit"),
+    ),
+    "a person has taken over a slow run": (
+        {"robot": RUN | {"tick": 120, "source": "teleop", "reason": "taken_over"}},
+        ("run", "warn", "You drive: press “Resume”, and the robot goes on by itself", "resume"),
     ),
     "a stop is latched": (
         {"robot": RUN | {"cause": "emergency_stop"}},
@@ -111,7 +123,7 @@ def test_header_leads_when(page: Page, name: str) -> None:
     common = {
         "robot": None, "job": None, "chosen": None, "link": "", "age": 0.1, "ill": "", "unattended": True,
         "frames_hz": 10, "sits": False, "taken": False, "distance": None, "drives": 0, "models": 0,
-        "untaught": False,
+        "untaught": False, "unlisted": False,
     }  # fmt: skip
     asked = json.dumps(common | state)
     led = run_in(page, f"import('./lead.js').then(({{lead}}) => lead({asked}))")

@@ -86,7 +86,9 @@ def test_kidnapped_run_is_listed_and_reported_as_such(tmp_path: Path) -> None:
     library.look()
     (recording,) = library.recordings()
     assert recording.useless == "the robot was kidnapped (frame 4), unknown to its odometry"
-    assert "<dt>kidnapped</dt><dd>once</dd>" in report_page(recording)
+    report = report_page(recording)
+    assert "<dt>kidnapped</dt><dd>once</dd>" in report
+    assert report.count("<polyline") == 2  # the robot has not driven from piece to piece
 
 
 def test_report_escapes_text_of_a_recording() -> None:

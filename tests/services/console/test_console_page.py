@@ -370,6 +370,7 @@ def show_robot(board: Board) -> None:
 
 
 def test_robot_is_carried_when_a_person_drags_it(page: Page, nobody: Nobody, board: Board) -> None:
+    page.set_viewport_size({"width": 1280, "height": 1000})
     show_robot(board)
     page.wait_for_selector("#carry:visible")
     page.click("#enlarge")
@@ -490,13 +491,38 @@ def test_phone_keeps_pad_and_stop_in_reach(page: Page, board: Board) -> None:
             assert box["y"] + box["height"] <= 844
 
 
+OVERLAP = """(() => {{
+    const [one, other] = ["{}", "{}"].map((name) => document.querySelector(name).getBoundingClientRect());
+    const sides = [["left", "right"], ["top", "bottom"]].map(([low, high]) =>
+        Math.max(0, Math.min(one[high], other[high]) - Math.max(one[low], other[low])));
+    return sides[0] * sides[1];
+}})()"""
+
+
 @pytest.mark.parametrize("size", [(1440, 900), (1024, 768), (390, 844)])
+def test_map_is_whole_beside_pad_and_buttons(
+    page: Page, board: Board, size: tuple[int, int]
+) -> None:
+    show_robot(board)
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.wait_for_selector("#carry:visible")
+    assert run_in(page, OVERLAP.format("#map canvas", "#enlarge")) == 0
+    page.click("#enlarge")
+    assert run_in(page, OVERLAP.format("#map canvas", "#pad")) == 0
+
+
+@pytest.mark.parametrize("size", [(1440, 900), (1024, 768), (768, 1024), (390, 844)])
 def test_next_step_is_seen_without_scrolling(
     page: Page, board: Board, size: tuple[int, int]
 ) -> None:
     board.put("robot", DRIVE | {"episode": None, "at": board.clock()})
     page.set_viewport_size({"width": size[0], "height": size[1]})
+    board.put("taken", content=True)
+    page.wait_for_selector("#seat:text('Another person drives')")
     page.wait_for_selector("#next:text('Begin a drive')")
+    assert run_in(page, OVERLAP.format("#seat", "#steps button:last-child")) == 0
+    assert run_in(page, "document.documentElement.scrollWidth") == size[0]
+    assert page.locator("h1").bounding_box()["width"] > 50
     for part in ("#next", "#stop", "#pad", ".pill", "#camera > .picture"):
         box = page.locator(part).bounding_box()
         assert 0 <= box["y"] <= size[1] - box["height"], part
@@ -566,6 +592,9 @@ def test_finish_shows_the_run_when_it_has_ended(page: Page, board: Board) -> Non
     page.click("#last-run")
     page.wait_for_selector("#finish:visible")
     assert page.get_attribute("#steps [data-panel=run]", "aria-pressed") == "true"
+    board.put("robot", DRIVE | {"purpose": "run", "episode": "run-2", "at": board.clock()})
+    page.wait_for_selector("#run-form:visible")
+    assert page.is_hidden("#last-run")  # the card waits for the end of a run
 
 
 def test_finish_is_there_again_after_a_reload(

@@ -246,6 +246,15 @@ def test_run_is_missed_when_the_robot_passes_the_goal_silently(goal: float, outc
     ]
 
 
+@pytest.mark.parametrize(("goal", "outcome"), [(0.1, "missed"), (1e9, "aborted")])
+def test_run_is_missed_when_a_person_ends_it_without_a_report(goal: float, outcome: str) -> None:
+    runner, _ = begin(LineBody(Clock(), goal=goal), until_said=True)
+    for _ in range(4):
+        answer(runner)
+    run = runner.running
+    assert events(runner.end_by(EndRequest(episode=run.id))) == [("ended", outcome)]
+
+
 def test_where_a_person_says_that_the_goal_is_it_is() -> None:
     runner, _ = begin(LineBody(Clock(), goal=1e9), purpose="drive", driver="teleop")
     for _ in range(3):

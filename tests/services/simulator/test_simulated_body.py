@@ -137,6 +137,9 @@ def test_task_is_chosen_only_along_a_free_way(tmp_path: Path) -> None:
     ):
         with pytest.raises(ServiceError, match=why):
             body.choose_task(there, goal)
+    off_lanes = (-18.0, -18.0)  # the route from there leads over a lane, also to the same place
+    with pytest.raises(ServiceError, match="too close"):
+        body.choose_task(off_lanes, off_lanes)
     assert plan_of(simulation.world) == taught, "the world stays as it was"
     assert taught.route[-1] == pytest.approx((YARD.victim.x, YARD.victim.y), abs=0.1)
     body.choose_task(there, back)
