@@ -153,11 +153,12 @@ class Engine:
     ) -> Iterator[tuple[Task, Callable[[], Answer]]]:
         """Yield finished tasks, each with a function that returns the result or raises the error.
 
-        Tasks start when the tasks that they need are done. No task waits at a worker for another
-        task, so that a killed worker identifies its task.
+        Tasks start when the tasks that they need are done. Tasks that need a failed task are left
+        out. No task waits at a worker for another task, so that a killed worker identifies its task.
         """
         waiting = dict.fromkeys(tasks)
         under_way = dict["Future[Any]", Task]()
+        failed = set[Task]()
         while waiting or under_way:
             free = max(self._threads(), 1) - len(under_way)
             missing = {*waiting, *under_way.values()}
@@ -166,7 +167,14 @@ class Engine:
                 under_way[self.client.submit(do, task, pure=False)] = task
                 del waiting[task]
             future = self._done(under_way)
-            yield under_way.pop(future), partial(self._answer, future)
+            task = under_way.pop(future)
+            if future.status == "error":
+                failed.add(task)
+                for later in list(waiting):  # In order, each after the tasks that it needs.
+                    if not failed.isdisjoint(needs(later)):
+                        failed.add(later)
+                        del waiting[later]
+            yield task, partial(self._answer, future)
 
     def _done(self, futures: Iterable["Future[Any]"]) -> "Future[Any]":
         """Return a finished future; raise JobError if the scheduler or all workers are lost."""

@@ -186,8 +186,9 @@ def _odometry(view: PosedView) -> tuple[float, float, float]:
 
 
 def _depth(episode: SteppedEpisode[P]) -> Depth | None:
+    """Return a copy of the depth image, because the guard reads it after the driver."""
     depth = episode.view.depth
-    return None if depth is None or episode.mount is None else (depth, episode.mount)
+    return None if depth is None or episode.mount is None else (depth.copy(), episode.mount)
 
 
 def finding(found: SearchRun, taught: NDArray[np.float64], criterion: Criterion) -> dict[str, Any]:
