@@ -158,7 +158,6 @@ class Engine:
         """
         waiting = dict.fromkeys(tasks)
         under_way = dict["Future[Any]", Task]()
-        failed = set[Task]()
         while waiting or under_way:
             free = max(self._threads(), 1) - len(under_way)
             missing = {*waiting, *under_way.values()}
@@ -169,11 +168,7 @@ class Engine:
             future = self._done(under_way)
             task = under_way.pop(future)
             if future.status == "error":
-                failed.add(task)
-                for later in list(waiting):  # In order, each after the tasks that it needs.
-                    if not failed.isdisjoint(needs(later)):
-                        failed.add(later)
-                        del waiting[later]
+                waiting = dict.fromkeys(_possible(task, waiting, needs))
             yield task, partial(self._answer, future)
 
     def _done(self, futures: Iterable["Future[Any]"]) -> "Future[Any]":
@@ -370,6 +365,18 @@ def _quiet_distributed() -> Any:  # noqa: ANN401
 
 def _say_watched(link: str) -> None:
     tqdm.write(f"smal: dashboard of the workers: {link}", file=sys.stderr)
+
+
+def _possible(
+    failed: Task, tasks: Iterable[Task], needs: Callable[[Task], Iterable[Task]]
+) -> Iterator[Task]:
+    """Yield the tasks that need no failed task; each comes after the tasks that it needs."""
+    impossible = {failed}
+    for task in tasks:
+        if impossible.isdisjoint(needs(task)):
+            yield task
+        else:
+            impossible.add(task)
 
 
 def _each(function: Callable[[Item], Answer], items: list[Item]) -> list[Answer]:
