@@ -3,7 +3,6 @@
 import hashlib
 import math
 import sys
-import traceback
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 
-from services.kit.errors import JobError, UsageError
+from services.kit.errors import JobError, UsageError, foreign_error
 from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG
 from smal.arrays import Uint8s
 from smal.evaluation.driver import Depth, Driver, LearnDriver, PlaceEstimate
@@ -166,7 +165,7 @@ def _imported(name: str, module: str) -> Any:  # noqa: ANN401 - any module
             ) from None
         raise UsageError(f"driver {name}: {error}") from None
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever its code raises
-        raise UsageError(f"driver {name}: {_in_a_line(error)}") from None
+        raise UsageError(f"driver {name}: {foreign_error(error)}") from None
     finally:
         sys.path.remove(folder)
 
@@ -208,7 +207,7 @@ class CheckedDriver:
             with redirect_stdout(sys.stderr):
                 return ask()
         except (Exception, SystemExit) as error:
-            line = f"driver {self._name}: {what} failed: {_in_a_line(error)}{_line_of(error)}"
+            line = f"driver {self._name}: {what} failed: {foreign_error(error)}"
             raise DriverError(line) from error
 
     def _refuse(self, what: str, needs: str, got: object) -> DriverError:
@@ -256,14 +255,3 @@ class CheckedDriver:
             needs = f"None or (frame 0 to {self._frames - 1}, ahead, left, turned_rad)"
             raise self._refuse("place", needs, place)
         return PlaceEstimate(int(frame), ahead, left, turned_rad)
-
-
-def _in_a_line(error: BaseException) -> str:
-    """Return the type and the text of an error in one line."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
-
-
-def _line_of(error: BaseException) -> str:
-    """Return the file and the line that raised an error; empty if no code of the driver ran."""
-    frames = traceback.extract_tb(error.__traceback__)[2:]
-    return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
