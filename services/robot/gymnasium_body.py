@@ -17,8 +17,8 @@ from smal.movement import Movement
 class GymnasiumBody(SteppedBody):
     """An environment whose observation is an image, or has one under a key.
 
-    An end with a positive reward is the goal, another end a collision. The names of `info` below are
-    optional. With ``route`` and ``found_m`` the scripted expert can drive.
+    An end with a positive reward is the goal, another end a collision; truncation is ignored.
+    The names of `info` below are optional. With ``route`` and ``found_m`` the scripted expert can drive.
 
     ============== ========================================================================
     ``pose``       ground truth: x, y in metres, heading in radians
