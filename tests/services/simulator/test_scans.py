@@ -160,9 +160,7 @@ def test_scan_rejects_a_floor_or_place_that_it_lacks(tmp_path: Path) -> None:
     ):
         import_scan(house, ScanWishes(up="z", floor_m=9.0))
     far = RoleWishes(Pose(1.0, 1.0, 0.0), Pose(90.0, 90.0, 0.0))
-    with pytest.raises(
-        WorldError, match=r"ply: no route from .*; choose --from and --to on the floor"
-    ):
+    with pytest.raises(WorldError, match=r"ply: .*; choose --from and --to on the floor"):
         import_scan(house, ScanWishes(up="z", task=far))
 
 
