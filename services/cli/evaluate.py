@@ -26,7 +26,7 @@ from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.units import Unit, units
 from services.experiments.progress import Bars
 from services.experiments.words import remark
-from services.kit.errors import UsageError
+from services.kit.errors import JobError, UsageError
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class PlanSize:
     ] = None
     runs: Annotated[
         int | None,
-        Option(min=TAUGHT, max=1000, help=f"Number of searches, shared by {TAUGHT} drives."),
+        Option(min=1, max=1000, help=f"Number of searches, shared by at most {TAUGHT} drives."),
     ] = None
     base: options.Base = None
     drivers: Annotated[
@@ -83,7 +83,7 @@ class PlanSize:
 
         def change(trial: Trial) -> Trial:
             runs = self.runs if self.runs is not None and trial.sets > 1 else trial.runs
-            return replace(trial, runs=runs, **changed)
+            return replace(trial, runs=runs, sets=min(runs, trial.sets), **changed)
 
         return with_each(replace(plan, base=self.base or plan.base), change)
 
@@ -130,17 +130,23 @@ def evaluate(
     plan = size.plan(changes)
     planned = units(plan)
     results = Results(out, planned)
-    if not report_only:
-        _complete(results, planned, at_work)
+    failures = [] if report_only else _complete(results, planned, at_work)
     from services.experiments.evaluation.report.page import write_page  # noqa: PLC0415 - loads matplotlib
 
     typer.echo(f"results: {write_page(plan, results)}")
+    if failures:
+        remark(failures)
+        raise JobError(
+            "the results lack the searches of the drivers above; run the command again to continue"
+        )
 
 
-def _complete(results: Results, planned: list[Unit], at_work: options.AtWork) -> None:
+def _complete(results: Results, planned: list[Unit], at_work: options.AtWork) -> list[str]:
     with at_work.engine() as engine, closing(Bars("unit", finished=len(results.findings))) as bars:
         try:
-            results.complete(planned, engine, partial(bars, "units (drives, models, searches)"))
+            return results.complete(
+                planned, engine, partial(bars, "units (drives, models, searches)")
+            )
         except KeyboardInterrupt:
             bars.close()
             remark(["stopping; run the same command to continue"])

@@ -153,8 +153,8 @@ class Engine:
     ) -> Iterator[tuple[Task, Callable[[], Answer]]]:
         """Yield finished tasks, each with a function that returns the result or raises the error.
 
-        Tasks start when the tasks that they need are done. No task waits at a worker for another
-        task, so that a killed worker identifies its task.
+        Tasks start when the tasks that they need are done. Tasks that need a failed task are left
+        out. No task waits at a worker for another task, so that a killed worker identifies its task.
         """
         waiting = dict.fromkeys(tasks)
         under_way = dict["Future[Any]", Task]()
@@ -166,7 +166,10 @@ class Engine:
                 under_way[self.client.submit(do, task, pure=False)] = task
                 del waiting[task]
             future = self._done(under_way)
-            yield under_way.pop(future), partial(self._answer, future)
+            task = under_way.pop(future)
+            if future.status == "error":
+                waiting = dict.fromkeys(_possible(task, waiting, needs))
+            yield task, partial(self._answer, future)
 
     def _done(self, futures: Iterable["Future[Any]"]) -> "Future[Any]":
         """Return a finished future; raise JobError if the scheduler or all workers are lost."""
@@ -362,6 +365,18 @@ def _quiet_distributed() -> Any:  # noqa: ANN401
 
 def _say_watched(link: str) -> None:
     tqdm.write(f"smal: dashboard of the workers: {link}", file=sys.stderr)
+
+
+def _possible(
+    failed: Task, tasks: Iterable[Task], needs: Callable[[Task], Iterable[Task]]
+) -> Iterator[Task]:
+    """Yield the tasks that need no failed task; each comes after the tasks that it needs."""
+    impossible = {failed}
+    for task in tasks:
+        if impossible.isdisjoint(needs(task)):
+            yield task
+        else:
+            impossible.add(task)
 
 
 def _each(function: Callable[[Item], Answer], items: list[Item]) -> list[Answer]:

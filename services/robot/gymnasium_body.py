@@ -9,7 +9,6 @@ import numpy as np
 
 from schemas.base import KEYS, STANDING, TICK_S, Atom, Velocity
 from schemas.rpc import ResetRequest
-from services.kit.node import ServiceError
 from services.robot.body import Beginning, Kinematics, OdometryReading
 from services.robot.lockstep import SteppedBody, StepView
 from smal.movement import Movement
@@ -18,8 +17,8 @@ from smal.movement import Movement
 class GymnasiumBody(SteppedBody):
     """An environment whose observation is an image, or has one under a key.
 
-    An end with a positive reward is the goal, another end a collision. The names of `info` below are
-    optional. With ``route`` and ``found_m`` the scripted expert can drive.
+    An end with a positive reward is the goal, another end a collision; truncation is ignored.
+    The names of `info` below are optional. With ``route`` and ``found_m`` the scripted expert can drive.
 
     ============== ========================================================================
     ``pose``       ground truth: x, y in metres, heading in radians
@@ -90,8 +89,6 @@ class GymnasiumBody(SteppedBody):
 
     def _seen(self, observation: object, info: dict[str, Any]) -> StepView:
         image = np.asarray(observation if self._key is None else observation[self._key])  # type: ignore[index]
-        if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
-            raise ServiceError(f"{self.name}: {image.dtype} {image.shape} is not an RGB image")
         return StepView(
             image,
             reached=bool(info.get("is_success", False)),

@@ -7,6 +7,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final, Generic, Protocol, TypeVar
@@ -17,8 +18,9 @@ from numpy.typing import NDArray
 from schemas.base import KEYS, STANDING, TICK_S, Atom, Message, Velocity
 from schemas.motion import TruePose
 from schemas.rpc import ResetRequest
+from services.kit.errors import foreign_error, out_of_memory
 from services.kit.jpeg import encode_jpeg
-from services.kit.node import Detail, Node
+from services.kit.node import Detail, Node, ServiceError
 from services.kit.process import configure_logging, read_settings, run_service
 from services.robot.body import Beginning, Body, ImuReading, Kinematics, OdometryReading, View
 from services.robot.clock import Clocks, SimulatedClock, now_s
@@ -30,6 +32,7 @@ from services.robot.service import ROBOT, RobotSettings, serve_robot
 from services.robot.task import Task
 from services.robot.wheels import WheelCheck
 from smal.camera import Camera
+from smal.movement import is_pose
 from smal.obstacles.clearance import Mount
 
 #: Timeouts of an answer, seconds: resend the frame (a message can be lost), then end the episode.
@@ -85,7 +88,7 @@ class SteppedEpisode(RunningEpisode[V]):
             STANDING if self.contradiction else wanted, self.kinematics, self._guard, now_s
         )
         self._wheels.told(may, now_s)
-        self._steppable.advance(may, frame_s)
+        _advance(self._steppable, may)
         return self.next_frame()
 
     def _read(self, now_s: float) -> None:
@@ -141,7 +144,7 @@ class Lockstep(Generic[V]):
             if runner.gate.stop_cause is not None:
                 return  # The stop arrived during the publication.
             runner.gate.carries_out(applied.velocity, self.gate_s(run.tick))
-            self._body.advance(applied.velocity, self._body.frame_s)
+            _advance(self._body, applied.velocity)
             yield from runner.next_frame(run)
             self._sent_s = self._clock()
             return
@@ -196,7 +199,8 @@ class StepView:
 class SteppedBody(ABC):
     """A simulator as a body: subclasses set `name` and `kinematics`, and implement three methods.
 
-    Time stands between two frames. In real time the world takes a step with each frame.
+    An error of these methods, or an invalid view, is a ServiceError of one line. Time stands
+    between two frames. In real time the world takes a step with each frame.
     """
 
     name: str
@@ -226,9 +230,30 @@ class SteppedBody(ABC):
 
     def begin(self, request: ResetRequest) -> Beginning:
         """Prepare an episode."""
+        self.check()
         self._realtime = request.mode == "realtime"
         self._held = STANDING, now_s()
-        return self.start(request)
+        with _in_a_line(self, "start"):
+            beginning = self.start(request)
+        if not isinstance(beginning, Beginning):
+            raise ServiceError(f"{self.name}: start must return a Beginning, got {beginning!r:.60}")
+        return beginning
+
+    def check(self) -> None:
+        """Raise ServiceError if its name, its speeds or its frame time are invalid."""
+        kind = type(self).__name__
+        if not isinstance(getattr(self, "name", None), str):
+            raise ServiceError(f"{kind}: name not found; set it to a text")
+        if not isinstance(getattr(self, "kinematics", None), Kinematics):
+            raise ServiceError(f"{self.name}: kinematics not found; set it to a Kinematics")
+        numbers = {
+            "frame_s": self.frame_s,
+            "kinematics.speed_m_s": self.kinematics.speed_m_s,
+            "kinematics.turn_rate_rad_s": self.kinematics.turn_rate_rad_s,
+        }
+        for name, value in numbers.items():
+            if not 0.0 < value < math.inf:
+                raise ServiceError(f"{self.name}: {name} must be greater than 0, got {value!r:.60}")
 
     def drive(self, velocity: Velocity) -> Velocity:
         """Hold a velocity for the next frames; in lockstep `advance` alone moves the world."""
@@ -244,9 +269,12 @@ class SteppedBody(ABC):
         if self._realtime and tick:
             velocity, told_s = self._held
             silent = now_s() - told_s > self.watchdog_s
-            self.advance(STANDING if silent else velocity, self.frame_s)
-        self._view = self.observe()
-        return self._view
+            _advance(self, STANDING if silent else velocity)
+        with _in_a_line(self, "observe"):
+            view = self.observe()
+        _check_view(self.name, view)
+        self._view = view
+        return view
 
     def peek(self) -> bytes | None:
         """Return the last image as JPEG; None before the first episode."""
@@ -255,6 +283,48 @@ class SteppedBody(ABC):
     def detail(self) -> Detail:
         """Return no further status."""
         return {}
+
+
+@contextmanager
+def _in_a_line(body: object, method: str) -> Iterator[None]:
+    """Raise an error of another simulator as a ServiceError, with its file and line."""
+    try:
+        yield
+    except ServiceError:
+        raise
+    except Exception as error:
+        if out_of_memory(error) or not isinstance(body, SteppedBody):
+            raise
+        raise ServiceError(f"{body.name}: {method} failed: {foreign_error(error)}") from error
+
+
+def _advance(body: Steppable[V], velocity: Velocity) -> None:
+    with _in_a_line(body, "advance"):
+        body.advance(velocity, body.frame_s)
+
+
+def _check_view(name: str, view: StepView) -> None:
+    """Raise ServiceError if a view of another simulator is invalid."""
+    if not isinstance(view, StepView):
+        raise ServiceError(f"{name}: observe must return a StepView, got {view!r:.60}")
+    image: object = view.image
+    if not isinstance(image, np.ndarray):
+        raise ServiceError(f"{name}: the image must be an array, got {image!r:.60}")
+    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or not image.size:
+        raise ServiceError(
+            f"{name}: {image.dtype} {image.shape} is not an RGB image; "
+            "give uint8 (height, width, 3)"
+        )
+    if view.pose is not None and not is_pose(view.pose):
+        raise ServiceError(
+            f"{name}: the pose must be three finite numbers, x, y in metres and heading in "
+            f"radians, got {view.pose!r:.60}"
+        )
+    if view.odometry is not None and not is_pose(view.odometry[:3]):
+        raise ServiceError(
+            f"{name}: the odometry must be an OdometryReading of finite numbers, "
+            f"got {view.odometry!r:.60}"
+        )
 
 
 class SimulatorsTask(Task[StepView]):
@@ -288,7 +358,13 @@ def serve_body(make: Callable[[], SteppedBody], task: Task[StepView] | None = No
         configure_logging(settings.log_level)
 
         def open_body(_node: Node) -> tuple[SteppedBody, Paces[StepView]]:
-            body = make()
+            try:
+                body = make()
+            except Exception as error:
+                if out_of_memory(error):
+                    raise
+                raise ServiceError(f"{make!r:.80}: {foreign_error(error)}") from None
+            body.check()
             return body, {"lockstep": lambda: Lockstep(body)}
 
         clock = SimulatedClock()

@@ -4,15 +4,16 @@ import hashlib
 import math
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 
-from services.kit.errors import JobError, UsageError
+from services.kit.errors import JobError, UsageError, foreign_error
 from services.simulator.sensors.camera import FIELD_OF_VIEW_DEG
 from smal.arrays import Uint8s
 from smal.evaluation.driver import Depth, Driver, LearnDriver, PlaceEstimate
@@ -31,6 +32,10 @@ FIELD_RAD: Final = math.radians(FIELD_OF_VIEW_DEG)
 DEFAULT_LENGTH: Final = LearningSettings().sequence_length
 LENGTHS: Final = (1, 2, 5, 10, 20, 40)  # Sequence lengths of the paper's scheme.
 T = TypeVar("T")
+
+
+class DriverError(JobError):
+    """A driver raised an error or gave an invalid answer; the other drivers can continue."""
 
 
 @dataclass(frozen=True)
@@ -130,11 +135,13 @@ def driver_entry(name: str) -> DriverEntry:
     """
     if name in DRIVERS:
         return DRIVERS[name]
-    module, colon, attribute = name.partition(":")
-    if not (module and colon and attribute):
+    module, _, attribute = name.partition(":")
+    if not all(part.isidentifier() for part in (*module.split("."), attribute)):
         raise UsageError(
             f"driver {name!r} not found; choose from {', '.join(DRIVERS)}, or give MODULE:CLASS"
         )
+    if module.endswith(".py"):
+        raise UsageError(f"driver {name}: give the module without .py: {module[:-3]}:{attribute}")
     found = getattr(_imported(name, module), attribute, None)
     if found is None:
         raise UsageError(f"driver {name}: {attribute!r} not found in the module {module}")
@@ -144,8 +151,10 @@ def driver_entry(name: str) -> DriverEntry:
 
 
 def _imported(name: str, module: str) -> Any:  # noqa: ANN401 - any module
-    """Import a module from the working folder or the packages."""
+    """Import a module from the working folder or the packages; its later imports work as well."""
     folder = str(Path.cwd())
+    if folder not in sys.path:
+        sys.path.append(folder)
     sys.path.insert(0, folder)
     try:
         return import_module(module)
@@ -155,8 +164,8 @@ def _imported(name: str, module: str) -> Any:  # noqa: ANN401 - any module
                 f"driver {name}: module {error.name!r} not found in {folder} or among the packages"
             ) from None
         raise UsageError(f"driver {name}: {error}") from None
-    except Exception as error:  # noqa: BLE001 - whatever its code raises
-        raise UsageError(f"driver {name}: {_in_a_line(error)}") from None
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever its code raises
+        raise UsageError(f"driver {name}: {foreign_error(error)}") from None
     finally:
         sys.path.remove(folder)
 
@@ -165,7 +174,7 @@ def code_of(name: str) -> str:
     """Return the digest of the file of another driver's module; empty for the drivers of `DRIVERS`."""
     if name in DRIVERS:
         return ""
-    file = _imported(name, name.partition(":")[0]).__file__
+    file = getattr(_imported(name, name.partition(":")[0]), "__file__", None)
     return "" if file is None else hashlib.sha256(Path(file).read_bytes()).hexdigest()
 
 
@@ -182,23 +191,28 @@ class CheckedDriver:
 
     Raises
     ------
-    JobError
+    DriverError
         The driver raises an error, or its answer is invalid; also by each method.
     """
 
     def __init__(self, name: str, drives: Sequence[Demonstration], folder: Path) -> None:
         self._name = name
+        self._frames = sum(len(one.atoms) for one in drives)
         learn = driver_entry(name).learn
         self._driver = self._ask("teaching", lambda: learn(drives, folder))
 
     def _ask(self, what: str, ask: Callable[[], T]) -> T:
         try:
-            return ask()
-        except Exception as error:
-            raise JobError(f"driver {self._name}: {what} failed: {_in_a_line(error)}") from error
+            # Standard output belongs to the results.
+            with redirect_stdout(sys.stderr):
+                return ask()
+        except (Exception, SystemExit) as error:
+            line = f"driver {self._name}: {what} failed: {foreign_error(error)}"
+            raise DriverError(line) from error
 
-    def _refuse(self, what: str, needs: str, got: object) -> JobError:
-        return JobError(f"driver {self._name}: {what} must be {needs}, got {got!r:.60}")
+    def _refuse(self, what: str, needs: str, got: object) -> DriverError:
+        shown = " ".join(repr(got).split())
+        return DriverError(f"driver {self._name}: {what} must be {needs}, got {shown:.60}")
 
     def reset(self, seed: int) -> None:
         """Start a new episode."""
@@ -211,7 +225,7 @@ class CheckedDriver:
         got = self._ask("step", lambda: self._driver.step(image, odometry, depth, elapsed_s))
         try:
             velocity = np.asarray(got, dtype=float)
-        except (TypeError, ValueError):
+        except Exception:  # noqa: BLE001 - tensors have errors of their own
             velocity = np.empty(0)
         # NaN is not within the limits.
         if velocity.shape != (2,) or not (np.abs(velocity) <= 1.0).all():
@@ -222,10 +236,10 @@ class CheckedDriver:
     @property
     def said(self) -> Said | None:
         """Announced result."""
-        said = self._ask("said", lambda: self._driver.said)
-        if said not in (None, "found", "not_here"):
-            raise self._refuse("said", "None, 'found' or 'not_here'", said)
-        return said
+        said: Any = self._ask("said", lambda: self._driver.said)
+        if said is None or (isinstance(said, str) and said in ("found", "not_here")):
+            return cast("Said | None", said)
+        raise self._refuse("said", "None, 'found' or 'not_here'", said)
 
     @property
     def place(self) -> PlaceEstimate | None:
@@ -234,15 +248,10 @@ class CheckedDriver:
         if place is None:
             return None
         try:
-            frame, *offset = place
-            valid = int(frame) == frame and len(offset) == 3 and bool(np.isfinite(offset).all())
-        except (TypeError, ValueError):
-            valid = False
-        if not valid:
-            raise self._refuse("place", "None or (frame, ahead, left, turned_rad)", place)
-        return PlaceEstimate(*place)
-
-
-def _in_a_line(error: BaseException) -> str:
-    """Return the type and the text of an error in one line."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+            frame, ahead, left, turned_rad = map(float, place)
+        except Exception:  # noqa: BLE001 - tensors have errors of their own
+            frame = ahead = left = turned_rad = math.nan
+        if frame not in range(self._frames) or not math.isfinite(ahead + left + turned_rad):
+            needs = f"None or (frame 0 to {self._frames - 1}, ahead, left, turned_rad)"
+            raise self._refuse("place", needs, place)
+        return PlaceEstimate(int(frame), ahead, left, turned_rad)

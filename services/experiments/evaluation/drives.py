@@ -181,9 +181,12 @@ def save_arrays(path: Path, **arrays: NDArray[Any]) -> None:
 
 
 def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Read the arrays of a file; raise ValueError with its path if it is damaged."""
+    """Read the arrays of a file, read-only; raise ValueError with its path if it is damaged."""
     try:
         with np.load(path, allow_pickle=False) as held:
-            return {name: held[name] for name in held.files}
+            arrays = {name: held[name] for name in held.files}
     except (OSError, ValueError, EOFError, BadZipFile) as error:
         raise ValueError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
+    for one in arrays.values():
+        one.setflags(write=False)  # Several drivers in a process share the arrays.
+    return arrays

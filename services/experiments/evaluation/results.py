@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from services.experiments.engine import Engine
+from services.experiments.evaluation.drivers import DriverError
 from services.experiments.evaluation.units import Finding, Unit
 from services.kit.errors import JobError, UsageError
 from smal.files.container import replacing
@@ -47,17 +48,24 @@ class Results:
 
     def complete(
         self, units: Sequence[Unit], engine: Engine, progress: Callable[[int, int], object]
-    ) -> None:
-        """Run the missing units on workers and return their number; after a failure keep the rest."""
+    ) -> list[str]:
+        """Run the missing units on workers; return one line for each error of a driver.
+
+        An error of a driver ends the searches of this driver that need the failed unit. Any other
+        error ends the evaluation.
+        """
         left = [unit for unit in units if unit not in self.findings]
         if left:
             self._check_shared(engine)  # Fails before anything is shown if there are no workers.
         progress(len(self.findings), len(units))
+        failures: dict[str, None] = {}
         for unit, found in engine.graph(
             left, partial(timed, self.work.resolve()), lambda unit: unit.needs
         ):
             try:
                 self.add(unit, found())
+            except DriverError as error:
+                failures[str(error)] = None
             except Exception as error:  # noqa: BLE001 - whatever it is, it is one line
                 what = f"{type(unit).__name__.lower()} in {unit.site.world}"
                 kind = "" if isinstance(error, JobError) else f"{type(error).__name__}: "
@@ -66,6 +74,7 @@ class Results:
                     "continue"
                 ) from None
             progress(len(self.findings), len(units))
+        return [*failures]
 
     def _check_shared(self, engine: Engine) -> None:
         """Raise UsageError if a remote worker cannot access the folder."""

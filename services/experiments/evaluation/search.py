@@ -186,8 +186,9 @@ def _odometry(view: PosedView) -> tuple[float, float, float]:
 
 
 def _depth(episode: SteppedEpisode[P]) -> Depth | None:
+    """Return a copy of the depth image, because the guard reads it after the driver."""
     depth = episode.view.depth
-    return None if depth is None or episode.mount is None else (depth, episode.mount)
+    return None if depth is None or episode.mount is None else (depth.copy(), episode.mount)
 
 
 def finding(found: SearchRun, taught: NDArray[np.float64], criterion: Criterion) -> dict[str, Any]:
@@ -201,7 +202,7 @@ def finding(found: SearchRun, taught: NDArray[np.float64], criterion: Criterion)
         Criterion of a correct estimate.
     """
     aside_m = np.asarray(KDTree(taught[:, :2]).query(found.poses[:, :2])[0], dtype=np.float64)
-    said: dict[str, Any] = {
+    result: dict[str, Any] = {
         "outcome": found.outcome,
         "right": found.right,
         "ticks": len(found.atoms),
@@ -214,18 +215,18 @@ def finding(found: SearchRun, taught: NDArray[np.float64], criterion: Criterion)
         "jerk_m_s3": round(found.jerk_m_s3, 3),
         "arrival_m": round(found.arrival_m, 3),
     }
-    sure = np.array([place is not None for place in found.places])
+    confident = np.array([place is not None for place in found.places])
     right = np.array(
         [
             _is_right(*pair, taught, criterion)
             for pair in zip(found.places, found.poses, strict=False)
         ]
     )
-    said["sure_share"] = round(float(sure.mean()), 4)
-    said["wrong_share"] = round(float((sure & ~right).mean()), 4)
+    result["sure_share"] = round(float(confident.mean()), 4)
+    result["wrong_share"] = round(float((confident & ~right).mean()), 4)
     if 0 < found.kidnap_tick <= len(found.atoms):
-        said["right_after_s"] = _right_after_s(right[found.kidnap_tick :])
-    return said
+        result["right_after_s"] = _right_after_s(right[found.kidnap_tick :])
+    return result
 
 
 def _right_after_s(right: NDArray[np.bool_]) -> float | None:

@@ -212,7 +212,7 @@ class TeachDriver(Unit):
         own = folder / f"{self.name}.driver"
         own.mkdir(exist_ok=True)
         drives, _ = _drives(self.needed(Teach), folder)
-        return CheckedDriver(self.driver, drives, own)
+        return CheckedDriver(self.driver, list(drives), own)
 
 
 @dataclass(frozen=True)

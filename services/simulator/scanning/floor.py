@@ -47,6 +47,8 @@ _NEIGHBOURS: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2))
 LEAST_M2: Final = 2.0
 # The lowest floor is chosen unless another one is larger by this factor: a ceiling is also level.
 _LARGER: Final = 2.0
+# A requested height differs from its floor by less than half a storey.
+_FLOOR_M: Final = 1.0
 # Floor heights are smoothed over this distance before the scan is laid level.
 _SMOOTH_M: Final = 0.5
 
@@ -111,7 +113,7 @@ def find_floor(
     Raises
     ------
     WorldError
-        No floor is large enough.
+        No floor is large enough, or none is near the height.
     """
     columns = _Columns(faces, robot)
     storeys = columns.storeys()
@@ -122,6 +124,12 @@ def find_floor(
         )
     if height_m is not None:
         chosen = min(storeys, key=lambda one: abs(one.height_m - height_m))
+        if abs(chosen.height_m - height_m) > _FLOOR_M:
+            found = ", ".join(f"{one.height_m:.2f}" for one in storeys)
+            raise WorldError(
+                f"--floor {height_m:g}: no floor within {_FLOOR_M:g} m of this height; "
+                f"choose from {found} m"
+            )
     else:
         largest = max(one.area_m2 for one in storeys)
         chosen = next(one for one in storeys if _LARGER * one.area_m2 >= largest)

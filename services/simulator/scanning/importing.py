@@ -56,7 +56,14 @@ def import_scan(source: Path, wishes: ScanWishes) -> ImportedScan:
         task = wishes.task
         roles = _roles(place, task)
         world = turned_ahead(World(place, *roles), task)
-        check_task(world)
+        try:
+            check_task(world)
+        except WorldError as error:
+            _, _, x_max, y_max = place.floor.footprint.bounds
+            raise WorldError(
+                f"{error}; choose --from and --to on the floor, x 0 to {x_max:.1f} and "
+                f"y 0 to {y_max:.1f} m from its south-west corner, with room for the robot"
+            ) from None
     summary = (*scanned.notes, *_summary(world, place, found, scanned))
     return ImportedScan(world, found.grade.levelled(scanned.parts), summary)
 

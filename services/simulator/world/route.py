@@ -225,7 +225,12 @@ def plan_route(world: World, start_xy: ArrayLike) -> NDArray[np.float64]:
     path = _routes_to_victim(world).path_from(start_xy)
     if path is None:
         x, y = np.asarray(start_xy, dtype=np.float64)
-        raise WorldError(f"{world.name}: no route from ({x:.1f}, {y:.1f}) m to the victim")
+        name = f"{world.name}: " if world.name else ""
+        victim = world.victim
+        raise WorldError(
+            f"{name}no route from ({x:.1f}, {y:.1f}) m to the victim at "
+            f"({victim.x:.1f}, {victim.y:.1f}) m"
+        )
     return path
 
 

@@ -22,7 +22,7 @@ from schemas.motion import TruePose
 from schemas.rpc import ResetRequest
 from services.cli.stack import free_endpoint
 from services.kit.node import ServiceError
-from services.robot.body import Kinematics
+from services.robot.body import Kinematics, OdometryReading
 from services.robot.gymnasium_body import GymnasiumBody
 from services.robot.lockstep import SimulatorsTask, SteppedBody, SteppedEpisode, StepView
 from tests.command import run_smal
@@ -121,6 +121,57 @@ def test_stepped_body_moves_in_real_time_too(painted: SteppedBody) -> None:
     moved = painted.look(1).pose
     painted.stand()
     assert painted.look(2).pose == moved != start
+
+
+def fails(*_: object) -> None:
+    raise RuntimeError("the physics\nexploded")
+
+
+@pytest.mark.parametrize(
+    ("fault", "line"),
+    [
+        ({"advance": fails}, "advance failed: RuntimeError: the physics exploded (test_other_"),
+        ({"observe": fails}, "observe failed: RuntimeError: the physics exploded (test_other_"),
+        ({"start": fails}, "start failed: RuntimeError: the physics exploded (test_other_"),
+        ({"start": lambda _: None}, "start must return a Beginning, got None"),
+        ({"frame_s": 0.0}, "frame_s must be greater than 0, got 0.0"),
+        ({"kinematics": None}, "kinematics not found; set it to a Kinematics"),
+    ],
+)
+def test_body_reports_a_fault_in_one_line(
+    painted: SteppedBody, fault: dict[str, Any], line: str
+) -> None:
+    vars(painted).update(fault)
+    with pytest.raises(ServiceError, match=f"^painted-room: {re.escape(line)}") as raised:
+        episode_of(painted).step("forward")
+    assert "\n" not in str(raised.value)
+
+
+IMAGE = np.zeros((24, 32, 3), dtype=np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("view", "line"),
+    [
+        (None, "observe must return a StepView, got None"),
+        (StepView(IMAGE[..., 0]), "uint8 (24, 32) is not an RGB image; give uint8 (height, width"),
+        (StepView(IMAGE[:0]), "uint8 (0, 32, 3) is not an RGB image"),
+        (StepView(IMAGE / 255.0), "float64 (24, 32, 3) is not an RGB image"),  # type: ignore[arg-type]
+        (StepView(None), "the image must be an array, got None"),  # type: ignore[arg-type]
+        (StepView(IMAGE, pose=(np.nan, 0.0, 0.0)), "the pose must be three finite numbers, x, y"),
+        (StepView(IMAGE, pose=(1.0, 2.0)), "the pose must be three finite numbers, x, y in metres"),  # type: ignore[arg-type]
+        (
+            StepView(IMAGE, odometry=OdometryReading(np.inf, 0.0, 0.0, 0.0, 0.0)),
+            "the odometry must be an OdometryReading of finite numbers",
+        ),
+    ],
+)
+def test_body_rejects_an_invalid_view(
+    painted: SteppedBody, monkeypatch: pytest.MonkeyPatch, view: StepView, line: str
+) -> None:
+    monkeypatch.setattr(painted, "observe", lambda: view)
+    with pytest.raises(ServiceError, match=f"^painted-room: {re.escape(line)}"):
+        episode_of(painted)
 
 
 @contextmanager

@@ -153,6 +153,17 @@ def test_scan_of_two_storeys_has_the_floor_asked_for(tmp_path: Path) -> None:
     assert share(low, "untextured") == 100.0
 
 
+def test_scan_rejects_a_floor_or_place_that_it_lacks(tmp_path: Path) -> None:
+    house = two_storeys(tmp_path)
+    with pytest.raises(
+        WorldError, match=r": --floor 9: no floor within 1 m .* choose from 0\.\d+, "
+    ):
+        import_scan(house, ScanWishes(up="z", floor_m=9.0))
+    far = RoleWishes(Pose(1.0, 1.0, 0.0), Pose(90.0, 90.0, 0.0))
+    with pytest.raises(WorldError, match=r"ply: .*; choose --from and --to on the floor"):
+        import_scan(house, ScanWishes(up="z", task=far))
+
+
 def test_scan_of_a_slope_is_laid_level(tmp_path: Path) -> None:
     imported = import_scan(hilly(tmp_path), ScanWishes(scale=1.0, up="z"))
     place = imported.world.place

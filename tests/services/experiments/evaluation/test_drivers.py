@@ -2,18 +2,26 @@
 
 import math
 import re
+import sys
 from pathlib import Path
 
 import pytest
 
-from services.experiments.evaluation.drivers import CheckedDriver, code_of, driver_entry
+from services.experiments.evaluation.drivers import (
+    CheckedDriver,
+    DriverError,
+    code_of,
+    driver_entry,
+)
 from services.experiments.evaluation.plan import CELLS, PLANS, comparison
 from services.experiments.evaluation.units import Searches, units
-from services.kit.errors import JobError, UsageError
+from services.kit.errors import UsageError
 from tests.smal.evaluation.wood import Wood
 
 PROTOCOL = (Path(__file__).parents[4] / "services" / "experiments" / "PROTOCOL.md").read_text()
 BAD = """
+import math
+
 class Bad:
     said = place = None
 
@@ -24,7 +32,12 @@ class Bad:
         pass
 
     def step(self, image, odometry, depth, elapsed_s):
+        print("a print of a driver")
         return ANSWER
+
+    def says(self, **what):
+        vars(self).update(what)
+        return 0.0, 0.0
 """
 
 
@@ -46,7 +59,7 @@ def test_example_of_the_protocol_repeats_a_drive(folder: Path) -> None:
 
 
 def test_protocol_fits_a_page_and_names_every_cell() -> None:
-    assert len([word for word in PROTOCOL.split() if word.strip("|-")]) <= 600
+    assert len([word for word in PROTOCOL.split() if word.strip("|-")]) <= 800
     assert re.findall(r"^\| `([a-z-]+)` \|", PROTOCOL, re.MULTILINE)[-len(CELLS) :] == [*CELLS]
 
 
@@ -57,11 +70,15 @@ def test_protocol_fits_a_page_and_names_every_cell() -> None:
         ("nowhere_here:A", "driver nowhere_here:A: module 'nowhere_here' not found in "),
         ("math:Nothing", "driver math:Nothing: 'Nothing' not found in the module math"),
         ("math:pi", "driver math:pi: 'pi' is no class; it must take the drives"),
+        ("driver.py:A", "driver driver.py:A: give the module without .py: driver:A"),
+        ("../driver:A", "driver '../driver:A' not found; choose from smal, "),
+        ("ending_driver:A", "driver ending_driver:A: SystemExit: 3"),
         ("broken_driver:A", "driver broken_driver:A: ZeroDivisionError: division by zero"),
     ],
 )
 def test_driver_is_refused_by_name(folder: Path, name: str, line: str) -> None:
     (folder / "broken_driver.py").write_text("1 / 0")
+    (folder / "ending_driver.py").write_text("raise SystemExit(3)")
     with pytest.raises(UsageError, match=f"^{re.escape(line)}"):
         driver_entry(name)
 
@@ -72,16 +89,38 @@ def test_driver_is_refused_by_name(folder: Path, name: str, line: str) -> None:
         ("float('nan'), 0.0", "the result of step must be two numbers of -1 to 1, got (nan, 0.0)"),
         ("(1.0, 0.0, 0.0)", "the result of step must be two numbers of -1 to 1, got (1.0, 0.0, 0"),
         ("None", "the result of step must be two numbers of -1 to 1, got None"),
-        ("drives", "step failed: NameError: name 'drives' is not defined"),
+        ("drives", "step failed: NameError: name 'drives' is not defined (bad_driver.py, line "),
+        ("exit(3)", "step failed: SystemExit: 3"),
+        ("self.says(said='lost')", "said must be None, 'found' or 'not_here', got 'lost'"),
+        ("self.says(said=[1, 2])", "said must be None, 'found' or 'not_here', got [1, 2]"),
+        ("self.says(place=(95, 0, 0, 0))", "place must be None or (frame 0 to 94, ahead, left, "),
+        ("self.says(place=(-1, 0, 0, 0))", "place must be None or (frame 0 to 94, ahead, left, "),
+        ("self.says(place=(math.inf, 0, 0, 0))", "place must be None or (frame 0 to 94, ahead, "),
     ],
 )
-def test_nonsense_of_a_driver_is_one_line(folder: Path, answer: str, line: str) -> None:
-    module = f"bad_{abs(hash(answer))}"
-    (folder / f"{module}.py").write_text(BAD.replace("ANSWER", answer))
+def test_nonsense_of_a_driver_is_one_line(
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    answer: str,
+    line: str,
+) -> None:
+    monkeypatch.delitem(sys.modules, "bad_driver", raising=False)
+    (folder / "bad_driver.py").write_text(BAD.replace("ANSWER", answer))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
     wood = Wood(1)
-    driver = CheckedDriver(f"{module}:Bad", [wood.drive], folder)
-    with pytest.raises(JobError, match=f"^driver {module}:Bad: {re.escape(line)}"):
-        wood.repeat(driver, (0.0, 0.0, 0.0), 3)
+    driver = CheckedDriver("bad_driver:Bad", [wood.drive], folder)
+    driver.reset(0)
+    with pytest.raises(DriverError, match=f"^driver bad_driver:Bad: {re.escape(line)}") as raised:
+        step_once(driver, wood)
+    assert "\n" not in str(raised.value)
+    assert capsys.readouterr().out == ""  # Standard output belongs to the results.
+
+
+def step_once(driver: CheckedDriver, wood: Wood) -> tuple[object, object]:
+    """Ask for everything that a search asks for after an image."""
+    driver.step(wood.seen(wood.way[0]), (0.0, 0.0, 0.0), None, 0.1)
+    return driver.place, driver.said
 
 
 def test_comparison_teaches_each_driver_once_for_all_cells() -> None:

@@ -11,6 +11,7 @@ import pytest
 from services.experiments import engine as engines
 from services.experiments.engine import Engine
 from services.experiments.evaluation import units as of_plan
+from services.experiments.evaluation.drivers import DriverError
 from services.experiments.evaluation.plan import Criterion, EvaluationPlan, in_world, with_each
 from services.experiments.evaluation.results import Results
 from services.experiments.evaluation.units import Finding, LearnUnit, Searches, Site, Teach, units
@@ -93,7 +94,26 @@ class After(LearnUnit):
         return {"needs": len(self.needs), "threads": os.environ["OPENBLAS_NUM_THREADS"]}
 
 
+class BadDriver(Teach):
+    """Has a driver with an error."""
+
+    def do(self, _folder: Path) -> Finding:
+        """Raise the driver's error."""
+        raise DriverError("driver a:B: teaching failed: ZeroDivisionError")
+
+
 SITE = Site("yard", "", (64, 48))
+
+
+def test_other_drivers_continue_when_one_driver_fails(tmp_path: Path) -> None:
+    bad = [BadDriver(SITE, (), 1), BadDriver(SITE, (), 2)]
+    after = After(SITE, (bad[0],), 0)
+    others = [After(SITE, (), 1), After(SITE, (), 2)]
+    results = Results(tmp_path, [])
+    with Engine(1) as engine:
+        failures = results.complete([*bad, after, *others], engine, lambda *_: None)
+    assert failures == ["driver a:B: teaching failed: ZeroDivisionError"]
+    assert {*results.findings} == {*others}
 
 
 def test_unit_is_reported_when_it_kills_its_workers(
