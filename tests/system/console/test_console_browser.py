@@ -78,6 +78,7 @@ def test_map_becomes_a_world_when_it_is_dropped(page: Page, site: Site) -> None:
     drop(page, WORLDS_FOLDER / "yard.osm", "My town!.osm")
     world = page.locator("#world-form [name=world]")
     eventually(lambda: world.input_value() == "My town-", timeout_s=120.0)
+    show(page, "Teach")  # The result of the run before can have opened its own panel.
     page.select_option("#world-form [name=variation]", "dark")
     page.fill("#drive-form [name=name]", "By night")
     page.select_option("#world-form [name=world]", "My town-")
