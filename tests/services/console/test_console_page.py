@@ -662,7 +662,7 @@ def test_video_of_a_run_holds_camera_and_map(page: Page, board: Board, tmp_path:
     while (read := video.read())[0]:
         frames.append(read[1])
     assert frames[0].shape == (528, 1280, 3)
-    # The camera on the left turns from black to white; on the right the robot moves on the map.
+    # The camera on the left turns from dark to white; on the right the robot moves on the map.
     grey = [frame[200:280, 280:360].mean() for frame in frames]
     assert grey[0] < 50
     assert grey[-1] > 235
