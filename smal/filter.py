@@ -4,8 +4,7 @@ The hidden state is a pose beside a taught keyframe (the keyframe, the way ahead
 "lost": far from everything that was taught. A particle filter (Gordon, Salmond and Smith 1993; Thrun, Burgard and Fox
 2005, chapters 4 and 8) estimates it.
 
-* *Prediction* moves each particle by the odometry, or by the usual way of the atoms and the turn of the view, with
-  noise.
+* *Prediction* moves each particle by the odometry, or by the usual movement of the atoms, with noise.
 * *Update* weighs each particle by the likelihood of the view (`smal.likelihood`), for the part of the view that is
   new. "Lost" has the likelihood 1, like any other place.
 * A *jump* covers movements that the odometry misses: the robot was carried (kidnapped), or the filter follows a

@@ -78,8 +78,6 @@ class MotionNoise(NamedTuple):
     #: Probability, for each new view, of a jump: the robot was carried (kidnapped), or its movement was far
     #: outside of these deviations. The view before makes a jump more likely, or less.
     jump: float = 5e-3
-    #: Whether turns scale with the pace: a turn that the camera measures does not.
-    paced_turns: bool = True
 
 
 #: Wheels slip a little, and the odometry of two robots differs by a twentieth. A wheel keeps its size:
@@ -89,10 +87,6 @@ BY_ODOMETRY: Final = MotionNoise(ahead=0.05, turn=0.03, pace=0.05, pace_lengths=
 #: deviation). Within a correlation length or a radian, the robot stops or moves twice as far (two
 #: standard deviations). The usual movement misses a robot that is held, so jumps are more likely.
 BY_ATOMS: Final = MotionNoise(ahead=0.5, turn=0.5, pace=math.log(2.0), jump=2e-2)
-#: The way by the usual movement of an atom, the turn by the camera (`smal.visual_compass`). Against
-#: the truth of simulated drives, indoors and on a campus, a turn is off by 0.2 to 0.5 degrees a frame, or 3
-#: degrees a correlation length, and by a tenth of a radian after a radian.
-BY_CAMERA: Final = BY_ATOMS._replace(turn=0.1, drift_deg=3.0, paced_turns=False)
 
 
 def is_pose(pose: Any) -> bool:  # noqa: ANN401 - given by a user
@@ -150,17 +144,12 @@ def turns_ahead(movements: Floats) -> bool:
     return bool(turning > 0.5 * ahead[Atom.FORWARD])
 
 
-def dead_reckoning(
-    atoms: NDArray[np.integer[Any]], movements: Floats, turns: Floats | None = None
-) -> Floats:
+def dead_reckoning(atoms: NDArray[np.integer[Any]], movements: Floats) -> Floats:
     """Integrate the usual movements of atoms (f,) into poses (f, 3): x, y and heading, from (0, 0, 0).
 
-    Half of each turn precedes the way ahead. `movements` (5, 2) are `atom_movements`. Measured
-    `turns` (f - 1,), in radians, replace the usual ones where they are finite.
+    Half of each turn precedes the way ahead. `movements` (5, 2) are `atom_movements`.
     """
     ahead, turn = movements[atoms[:-1]].T
-    if turns is not None:
-        turn = np.where(np.isfinite(turns), turns, turn)
     heading = np.append(0.0, np.cumsum(turn))
     middle = heading[:-1] + turn / 2.0
     x = np.append(0.0, np.cumsum(ahead * np.cos(middle)))

@@ -147,8 +147,7 @@ class Particles:
         ahead = movement.ahead * pace + noise.ahead * root * length * ahead_noise
         jitter_deg = self._config.jitter_deg * math.sqrt(newness)
         drift_deg = math.hypot(noise.drift_deg * root, jitter_deg)
-        turn = movement.turn_rad * (pace if noise.paced_turns else 1.0)
-        turn = turn + math.radians(drift_deg) * heading_noise
+        turn = movement.turn_rad * pace + math.radians(drift_deg) * heading_noise
         turn += noise.turn * math.sqrt(abs(movement.turn_rad)) * turn_noise
         middle = self.poses[:, 2] + turn / 2.0
         x = ahead * np.cos(middle)

@@ -20,13 +20,11 @@ from smal.map import beside, way_from
 from smal.model import Model
 from smal.movement import (
     BY_ATOMS,
-    BY_CAMERA,
     BY_ODOMETRY,
     STANDS,
     STILL,
     Atom,
     Motion,
-    MotionNoise,
     Movement,
     is_pose,
     placed,
@@ -37,7 +35,6 @@ from smal.particles import FILTER_CONFIG, FilterConfig
 from smal.planning import Decision, Planner, Said
 from smal.target.appearance import TARGET_CONFIG
 from smal.target.detector import TargetDetector, TargetEstimate
-from smal.visual_compass import picture_of, shift_between
 
 NO_GROUND = (
     "the model has no ground, so that unexpected ground cannot be detected; learn the model again"
@@ -79,7 +76,7 @@ class TaughtPlace:
 
 
 class Localizer:
-    """Estimates the robot's place from frame to frame by features, and by odometry or a visual compass and atoms.
+    """Estimates the robot's place from frame to frame by features, and by odometry or the usual movement of atoms.
 
     Parameters
     ----------
@@ -112,7 +109,6 @@ class Localizer:
         self._map = mapped = model.mapped
         #: Features that the model was learned on.
         self.features = model.feature_settings
-        self._centering = model.centering
         self._ground = model.ground
         self._filter = Filter(mapped, model.centering, seed, config)
         self._pitch = CameraPitch(mapped, model.centering)
@@ -140,7 +136,6 @@ class Localizer:
         self._filter.reset(belief, seed)
         self._pitch.reset(0.0 if belief is None else belief.pitch_deg)
         self._pose = pose if self._map.odometry else None
-        self._last_picture: Float32s | None = None
         self._since_near = math.inf
         self._time_s = 0.0
         self._unexpected_s = 0.0
@@ -268,9 +263,8 @@ class Localizer:
             Odometry pose at the frame: x, y, and heading in radians. It is ignored if the map was taught without
             odometry, because the map then has another unit.
         executed : sequence of Atom or Motion
-            Executed since the frame before, for equal parts of the time. Used only without odometry, for the way, and
-            for the turn where the images do not show it (`smal.visual_compass`). For a frame without atoms and
-            odometry, the movement follows from the next pose.
+            Executed since the frame before, for equal parts of the time. Used only without odometry. For a frame
+            without atoms and odometry, the movement follows from the next pose.
         elapsed_s : float, optional
             Time since the frame before, seconds; by default a taught tick.
 
@@ -289,8 +283,13 @@ class Localizer:
                 "the pose by the wheels must be three finite numbers, x, y and heading in radians, "
                 f"got {odometry!r:.60}"
             )
-        picture = self._compass_picture(raw_features)
-        movement, noise = self._moved(picture, odometry, executed, elapsed_s)
+        movement = STILL
+        noise = BY_ATOMS
+        if odometry is not None and self._pose is not None:
+            movement = Movement.between(self._pose, odometry)
+            noise = BY_ODOMETRY
+        elif executed:
+            movement = self._usual_movement(executed, elapsed_s)
         belief = self._filter.observe(raw_features, movement, noise)
         if noise is BY_ODOMETRY and _drives_ahead(executed):
             belief = replace(belief, moved=movement.ahead)
@@ -300,35 +299,9 @@ class Localizer:
         self._step_s = self._map.tick_s if elapsed_s is None else elapsed_s
         self._time_s += self._step_s
         # Only now: a rejected frame must not change the state.
-        self._last_picture = picture
         if odometry is not None or executed:
             self._pose = odometry
         return belief
-
-    def _compass_picture(self, raw_features: AnyArray) -> Float32s | None:
-        """Return the picture for the visual compass, which a robot without odometry needs; None without colour."""
-        usable = raw_features.ndim == 1 and "color" in self.features.modalities
-        if self._map.odometry or not usable:
-            return None
-        return picture_of(self._centering.apply(raw_features), self.features)
-
-    def _moved(
-        self,
-        picture: Float32s | None,
-        odometry: Sequence[float] | None,
-        executed: Sequence[Atom | Motion],
-        elapsed_s: float | None,
-    ) -> tuple[Movement, MotionNoise]:
-        """Return the movement since the frame before, and its noise."""
-        if odometry is not None and self._pose is not None:
-            return Movement.between(self._pose, odometry), BY_ODOMETRY
-        movement = self._usual_movement(executed, elapsed_s) if executed else STILL
-        if picture is None or self._last_picture is None:
-            return movement, BY_ATOMS
-        shift = shift_between(self._last_picture, picture)
-        if shift is None:
-            return movement, BY_ATOMS
-        return replace(movement, turn_rad=shift * self._map.field_rad), BY_CAMERA
 
     def _usual_movement(
         self, executed: Sequence[Atom | Motion], elapsed_s: float | None

@@ -20,7 +20,7 @@ from smal.features.resizing import PIXELS, fitted
 from smal.files.packed import unpacked
 from smal.keyframes import MapConfig
 from smal.likelihood import Likelihood, standing_out
-from smal.movement import seen_from, turns_ahead, wrapped
+from smal.movement import Atom, seen_from, turns_ahead, wrapped
 from smal.teaching.demonstration import selected
 
 #: Returns the centred features (n, m) of n images.
@@ -45,9 +45,8 @@ class CalibrationConfig:
     tells_camera_deg: float = 9.0
     #: Maximum turn of steps for the scene.
     tells_scene_deg: float = 25.0
-    #: Minimum shift of the view, as a share of its width, of pairs for a camera among candidates: a moving car
-    #: must not have gone far.
-    tells_shift: float = 0.05
+    #: Total turn of atoms for measuring the turn of one.
+    tells_turn_deg: float = 15.0
     #: Maximum turn of an equal view.
     same_deg: float = 3.0
     #: Share of the longest way within which views of one place are compared.
@@ -59,9 +58,8 @@ class CalibrationConfig:
 CALIBRATION_CONFIG: Final = CalibrationConfig()
 #: Candidates for a camera of unknown field of view; the first is the default.
 USUAL_CAMERAS: Final = (Camera.of_field(70.0), Camera.of_field(140.0, "equidistant"))
-#: Maximum turn between compared views: they must overlap.
+#: Candidates for the turn between views of a fit: the views must overlap.
 _OVERLAP_DEG: Final = float(TURNS_DEG[-1])
-#: Turns between compared views.
 _TURNS_RAD: Final = np.radians(np.geomspace(1.0, _OVERLAP_DEG, 23)).tolist()
 
 
@@ -94,7 +92,7 @@ class TaughtFrames:
         Name of each drive, for errors.
     odometry : bool
     camera : Camera, optional
-        The given camera, or the camera of `camera_of_shifts`.
+        The given camera, or the camera of the turn measurement.
     pixels : (int, int)
         Rows and columns of an image at which `describe` looks.
     """
@@ -235,25 +233,24 @@ def fit_scene(frames: TaughtFrames, camera: Camera, length: float) -> Scene:
     return frames.best(fine, steps)
 
 
-def camera_of_shifts(
+def turn_of_views(
     images: Sequence[Image],
-    shifts: Sequence[Floats],
+    atoms: Sequence[Int8s],
     cameras: Sequence[Camera],
     describe: Describe,
     config: CalibrationConfig = CALIBRATION_CONFIG,
     pixels: tuple[int, int] = PIXELS,
-) -> Camera:
-    """Return the candidate that predicts the views at both ends of turns best; the first if no drive turns.
+) -> tuple[Camera, float] | None:
+    """Measure the turn of a turning atom, by the turn with which views predict each other best.
 
-    A turn is the shift of the view times the camera's field of view, so that every candidate predicts
-    the middle of a view equally well; the candidates differ at its edges.
+    The first measurement uses single atoms, the second several in a row, which is more exact. A wrong focal length
+    makes the turn wrong by the same factor, so that virtual views of the two together fit all the same.
 
     Parameters
     ----------
     images : sequence (f,)
-        Of all drives.
-    shifts : sequence of array (f - 1,)
-        Shift between the images of each drive (`smal.visual_compass`); NaN where unknown.
+    atoms : sequence of array
+        Atoms executed after the images, for each drive.
     cameras : sequence of Camera
         Candidates.
     describe : callable
@@ -261,33 +258,31 @@ def camera_of_shifts(
     config : CalibrationConfig
     pixels : (int, int)
         Rows and columns of an image at which `describe` looks.
+
+    Returns
+    -------
+    (Camera, float) or None
+        The best camera, and radians; None if no drive turns.
     """
-    pairs = _shifted(shifts, config.tells_shift)
-    if not pairs or len(cameras) == 1:
-        return cameras[0]
-    # The fastest turns have the least way.
-    pairs.sort(key=lambda pair: pair.other - pair.frame)
-    guesses = [(_far(camera), math.radians(camera.field_deg)) for camera in cameras]
-    scene, _ = _best(images, describe, guesses, pairs[: config.pairs], config.pairs, pixels)
-    return scene.camera
-
-
-def _shifted(shifts: Sequence[Floats], least: float) -> list[_Pair]:
-    """Return pairs of frames between which the view shifts by `least` or more; their turn is the shift."""
-    pairs = []
-    start = 0
-    for drive in shifts:
-        first = start
-        total = 0.0
-        for frame, shift in enumerate(drive.tolist(), start + 1):
-            total += shift
-            if abs(total) >= least:
-                pairs.append(_Pair(first, frame, (0.0, 0.0, total)))
-            if not abs(total) < least:  # Also where a shift is unknown.
-                first = frame
-                total = 0.0
-        start += drive.size + 1
-    return pairs
+    executed = np.concatenate(atoms)
+    # The next frame after the end of a drive belongs to another drive.
+    ends = np.cumsum([len(drive) for drive in atoms]) - 1
+    executed[ends] = Atom.STOP
+    sign = (executed == Atom.LEFT).astype(int) - (executed == Atom.RIGHT).astype(int)
+    guesses = [(_far(camera), turn_rad) for camera in cameras for turn_rad in _TURNS_RAD]
+    found = None
+    count = 1
+    for _ in range(2):
+        if found is not None:
+            count = max(1, round(math.radians(config.tells_turn_deg) / found[1]))
+        in_a_row = np.convolve(sign, np.ones(count, dtype=int), mode="valid")
+        same = np.flatnonzero(np.abs(in_a_row) == count)
+        if not same.size:
+            break
+        turns = [_Pair(k, k + count, (0.0, 0.0, float(sign[k]))) for k in same.tolist()]
+        scene, turn_rad = _best(images, describe, guesses, turns, config.pairs, pixels)
+        found = scene.camera, turn_rad / count
+    return found
 
 
 def correlation_length(frames: TaughtFrames, camera: Camera) -> tuple[float, float]:

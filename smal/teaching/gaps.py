@@ -31,7 +31,6 @@ def reckoned(
     movements: Floats,
     gaps: Mapping[int, int],
     centred: Callable[[Iterable[int]], Float32s],
-    turns: Floats,
 ) -> Floats:
     """Integrate the usual movements of atoms (f,) into poses (f, 3), across the gaps of a drive.
 
@@ -44,8 +43,6 @@ def reckoned(
         Ticks that were lost after a frame.
     centred : callable
         Returns the centred features (n, m), of unit length, of n frames.
-    turns : array (f - 1,)
-        Measured turns between frames without a gap, radians; NaN where the usual turn counts.
     """
     repeats = np.ones(atoms.size, dtype=np.intp)
     before = np.array(sorted(gaps), dtype=np.intp)
@@ -55,9 +52,7 @@ def reckoned(
         lost = np.array([gaps[frame] for frame in some.tolist()])
         repeats[some] = np.minimum(alike.steps(some), lost + 1)
     executed = np.append(np.repeat(atoms, repeats), atoms[-1])
-    turns = np.append(turns, np.nan)
-    turns[before] = np.nan
-    poses = dead_reckoning(executed, movements, np.repeat(turns, repeats))
+    poses = dead_reckoning(executed, movements)
     starts = np.cumsum(repeats) - repeats
     return np.asarray(poses[starts])
 

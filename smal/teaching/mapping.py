@@ -7,7 +7,6 @@ import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache, partial
-from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
@@ -16,7 +15,6 @@ from scipy.linalg import eigh
 from smal.arrays import Float32s, Floats, Indices, Int8s, Int32s, evenly
 from smal.camera import TURNS_DEG, Camera, Image, Maps, Scene, remapped
 from smal.features import Centering, FeatureSettings, extract
-from smal.features.color import color_descriptor
 from smal.features.detectors import Detection
 from smal.features.extraction import Parallel, detect, in_parallel, looked_at
 from smal.features.resizing import fitted, small
@@ -33,13 +31,13 @@ from smal.teaching.calibration import (
     CALIBRATION_CONFIG,
     USUAL_CAMERAS,
     TaughtFrames,
-    camera_of_shifts,
     compared_frames,
     correlation_length,
     correlation_turn,
     fit_camera,
     fit_scene,
     likelihood_of_views,
+    turn_of_views,
 )
 from smal.teaching.demonstration import (
     Demonstration,
@@ -55,9 +53,8 @@ from smal.teaching.demonstration import (
 )
 from smal.teaching.from_arrays import demonstrations_of
 from smal.teaching.gaps import reckoned
-from smal.teaching.movements import atom_movements, usual_turn
+from smal.teaching.movements import atom_movements
 from smal.teaching.stitches import stitched
-from smal.visual_compass import picture_of, shift_between
 
 T = TypeVar("T")
 Progress = Callable[[str, int, int], None]
@@ -81,8 +78,8 @@ def learn(
 ) -> Model:
     """Build a map from the drives of one robot that reached the goal and have images.
 
-    If a drive has no odometry, no drive uses it. A forward atom then has the length 1, and turns are measured on the
-    images (`smal.visual_compass`). Gaps in a drive are bridged: by odometry, or
+    If a drive has no odometry, all drives use the usual movements of atoms. A forward atom then has the length 1, and
+    the turn of a turning atom is measured on the views (`turn_of_views`). Gaps in a drive are bridged: by odometry, or
     by how much the views on both sides differ (`smal.teaching.gaps`).
 
     Parameters
@@ -323,12 +320,11 @@ def _frames(
         movements = atom_movements(ways, atoms)
     else:
         tried = tuple(cameras[:1]) or USUAL_CAMERAS
-        shifts = _shifts(images, drives, features, centering)
-        camera = camera_of_shifts(images, shifts, tried, describe, pixels=pixels)
-        turns = [shift * math.radians(camera.field_deg) for shift in shifts]
-        usual = math.radians(config.usual_turn_deg_s) * tick_s
-        movements = _usual_movements(taught, usual_turn(turns, atoms) or usual)
-        ways = _reckoned(drives, movements, centred, turns)
+        usual = tried[0], math.radians(config.usual_turn_deg_s) * tick_s
+        turning = [_without_gaps(drive) for drive in drives]
+        camera, turn_rad = turn_of_views(images, turning, tried, describe, pixels=pixels) or usual
+        movements = _usual_movements(taught, turn_rad)
+        ways = _reckoned(drives, movements, centred)
     numbers = np.arange(len(ways), dtype=np.int32)
     return TaughtFrames(
         images,
@@ -350,45 +346,25 @@ def _usual_movements(taught: Sequence[Demonstration], turn_rad: float) -> Floats
     return np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [ahead, turn_rad], [ahead, -turn_rad]])
 
 
-def _shifts(
-    images: Sequence[Image], drives: Sequence[Drive], features: "_Kept", centering: Centering
-) -> list[Floats]:
-    """Return the shifts between the images of each drive, (f - 1,); NaN where unknown, and across gaps."""
-    rows: Sequence[Float32s] | _Kept = features
-    if "color" not in centering.settings.modalities:
-        rows = list(in_parallel(color_descriptor, images))
-        centering = Centering.fit(np.stack(rows), FeatureSettings.of(["color"]))
-
-    def picture(frame: int) -> Float32s:
-        return picture_of(centering.apply(rows[frame]), centering.settings)
-
-    pictures = in_parallel(picture, range(len(images)))
-    shifts = np.array([shift_between(*pair) for pair in pairwise(pictures)], dtype=np.float64)
-    parts = []
-    start = 0
-    for drive in drives:
-        part = shifts[start : start + drive.frames - 1]
-        part[list(drive.gaps)] = np.nan
-        parts.append(part)
-        start += drive.frames
-    return parts
+def _without_gaps(drive: Drive) -> Int8s:
+    """Return the atoms of a drive, with a stop where frames were lost."""
+    atoms = drive.whole.atoms.copy()
+    atoms[list(drive.gaps)] = Atom.STOP
+    return atoms
 
 
 def _reckoned(
-    drives: Sequence[Drive],
-    movements: Floats,
-    centred: Callable[[Iterable[int]], Float32s],
-    turns: Sequence[Floats],
+    drives: Sequence[Drive], movements: Floats, centred: Callable[[Iterable[int]], Float32s]
 ) -> list[Floats]:
-    """Return the poses of each drive by the usual movements of atoms and the measured turns."""
+    """Return the poses of each drive by the usual movements of atoms."""
 
     def centred_from(first: int, frames: Iterable[int]) -> Float32s:
         return centred(first + frame for frame in frames)
 
     starts = np.cumsum([0, *(drive.frames for drive in drives[:-1])]).tolist()
     return [
-        reckoned(drive.whole.atoms, movements, drive.gaps, partial(centred_from, start), turn)
-        for drive, start, turn in zip(drives, starts, turns, strict=True)
+        reckoned(drive.whole.atoms, movements, drive.gaps, partial(centred_from, start))
+        for drive, start in zip(drives, starts, strict=True)
     ]
 
 

@@ -53,27 +53,6 @@ def atom_movements(poses: Sequence[Floats], atoms: Sequence[Int8s]) -> Floats:
     return np.asarray(movements[size.argmax(axis=0), np.arange(len(Atom))])
 
 
-def usual_turn(turns: Sequence[Floats], atoms: Sequence[Int8s]) -> float:
-    """Measure the turn of a turning atom between two frames, radians; 0 if no drive turns.
-
-    As in `atom_movements`, it is the median of a drive, and the largest of the drives.
-
-    Parameters
-    ----------
-    turns : sequence of array (f - 1,)
-        Measured turns to the left of each drive, radians; NaN where unknown.
-    atoms : sequence of array (f,)
-    """
-    largest = 0.0
-    for turn, executed in zip(turns, atoms, strict=True):
-        sign = (executed == Atom.LEFT).astype(float) - (executed == Atom.RIGHT)
-        signed = (sign[:-1] * turn)[_settled(executed[:-1]) & (sign[:-1] != 0.0)]
-        signed = signed[np.isfinite(signed)]
-        if signed.size:
-            largest = max(largest, float(np.median(signed)))
-    return largest
-
-
 def _movements_of(way: Floats, atoms: Int8s) -> Floats:
     """Measure the movements of the atoms in one drive."""
     executed = atoms[:-1]

@@ -22,7 +22,7 @@ from smal.features.extraction import in_parallel
 from smal.files.packed import BATCH, unpacked
 from smal.likelihood import ANY_DAY, standing_out
 from smal.map import VisualMap
-from smal.movement import BY_CAMERA, BY_ODOMETRY, placed, seen_from, wrapped
+from smal.movement import BY_ATOMS, BY_ODOMETRY, placed, seen_from, wrapped
 
 #: A keyframe, a keyframe of another drive, and the pose of the first relative to the second: ahead, left, turned.
 _Stitch = tuple[int, int, list[float]]
@@ -148,7 +148,7 @@ def _off(
     visual_map: VisualMap, there: Indices, robot: Floats, one: int, other: int
 ) -> tuple[float, float]:
     """Return the way between two stitches, and the disagreement of the drives in standard deviations of odometry."""
-    noise = BY_ODOMETRY if visual_map.odometry else BY_CAMERA
+    noise = BY_ODOMETRY if visual_map.odometry else BY_ATOMS
     poses = visual_map.key_poses
     length = visual_map.correlation_length
     by_one = seen_from(poses[other], poses[one])

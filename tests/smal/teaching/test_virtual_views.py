@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from smal.camera import Camera, Image, Scene
 from smal.features import Centering, extract
-from smal.teaching.calibration import TaughtFrames, fit_camera, fit_scene
+from smal.teaching.calibration import TaughtFrames, fit_camera, fit_scene, turn_of_views
 from tests.smal.synthetic_world import (
     CAMERA,
     CAMERA_HEIGHT,
     COLOR,
     FIELD_DEG,
+    TURN_RAD_S,
     Drive,
     Room,
     drive,
@@ -113,3 +114,15 @@ def test_drive_without_turns_assumes_or_keeps_a_camera() -> None:
     found = fitted(Room(), straight, told=CAMERA)
     assert found.camera == CAMERA
     assert found.height == pytest.approx(CAMERA_HEIGHT, rel=0.25)
+
+
+@pytest.mark.parametrize(("speed", "rate_hz"), [(2.0, 10.0), (0.5, 20.0)])
+def test_turn_of_an_atom_is_measured_on_views(speed: float, rate_hz: float) -> None:
+    one = drive(speed=speed, rate_hz=rate_hz)
+    images = [PAINTED.look(pose) for pose in one.poses]
+    centering = Centering.fit(raw_of(images), COLOR)
+    # The second drive's last frame does not turn into the first one's.
+    found = turn_of_views(
+        images * 2, [one.atoms] * 2, [CAMERA], lambda views: centering.apply(raw_of(views))
+    )
+    assert found[1] == pytest.approx(TURN_RAD_S * speed / rate_hz, rel=0.15)
