@@ -14,8 +14,6 @@ SILENCE_S: Final = 0.25
 #: Age of the last answered pulse or echo at which its sender counts as absent, seconds. The
 #: round trip of an answer can take all of it but one pulse, 0.2 s.
 ABSENT_S: Final = 5 * PULSE_S
-
-
 #: Real time that simulated time waits for a frame or an answer, seconds: an answer is sent again
 #: after as long in lockstep (`services.robot.lockstep.RESEND_S`). A dead driver then falls silent.
 PATIENCE_S: Final = 2.0
@@ -55,6 +53,11 @@ class SimulatedClock:
         self._until_s = math.inf
         self._waited_s = 0.0
         self._lock = Lock()
+
+    @property
+    def clocks(self) -> Clocks:
+        """The clocks of a robot: this one, and the time of day, which does not wait."""
+        return Clocks(self, time.time_ns, self.hold)
 
     def __call__(self) -> float:
         """Return the simulated time, seconds."""

@@ -4,7 +4,6 @@ Any simulator is a body here: `SteppedBody` needs its start, its step and its vi
 """
 
 import math
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
@@ -23,7 +22,7 @@ from services.kit.jpeg import encode_jpeg
 from services.kit.node import Detail, Node, ServiceError
 from services.kit.process import configure_logging, read_settings, run_service
 from services.robot.body import Beginning, Body, ImuReading, Kinematics, OdometryReading, View
-from services.robot.clock import Clocks, SimulatedClock, now_s
+from services.robot.clock import SimulatedClock, now_s
 from services.robot.episode import RunningEpisode
 from services.robot.gate import bounded
 from services.robot.guard import guard_of
@@ -367,8 +366,6 @@ def serve_body(make: Callable[[], SteppedBody], task: Task[StepView] | None = No
             body.check()
             return body, {"lockstep": lambda: Lockstep(body)}
 
-        clock = SimulatedClock()
-        clocks = Clocks(clock, time.time_ns, clock.hold)
-        serve_robot(settings, open_body, task or SimulatorsTask(), clocks=clocks)
+        serve_robot(settings, open_body, task or SimulatorsTask(), clocks=SimulatedClock().clocks)
 
     run_service(ROBOT, serve)

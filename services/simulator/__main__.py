@@ -1,12 +1,11 @@
 """Run the simulated robot: ``python -m services.simulator --world campus``."""
 
 import logging
-import time
 
 from schemas.rpc import Nothing
 from services.kit.node import Node
 from services.kit.process import configure_logging, read_settings, run_service
-from services.robot.clock import Clocks, SimulatedClock
+from services.robot.clock import SimulatedClock
 from services.robot.lockstep import Lockstep
 from services.robot.pace import Paces
 from services.robot.service import ROBOT, serve_robot
@@ -41,7 +40,7 @@ def serve() -> None:
         return body, {"lockstep": lambda: Lockstep(body)}
 
     task = FindVictim() if settings.task == "victim" else OperatorsTask()
-    serve_robot(settings, open_body, task, clocks=Clocks(clock, time.time_ns, clock.hold))
+    serve_robot(settings, open_body, task, clocks=clock.clocks)
 
 
 if __name__ == "__main__":

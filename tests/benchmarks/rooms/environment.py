@@ -24,7 +24,7 @@ FRAME_S: Final = 0.1
 SPEED_M_S: Final = 0.6
 TURN_RATE_RAD_S: Final = 0.8
 BRAKING_S: Final = 0.1  # From full speed, and from the full turn rate, to standstill.
-_STEP_S: Final = 0.02  # Of the motion: 12 mm at full speed.
+_STEP_S: Final = 0.02  # Time step of the kinematics: 12 mm at full speed.
 FOUND_M: Final = 1.2  # Distance at which the target counts as found, as in SMAL's room.
 _VIEW_RAD: Final = math.radians(37.5)  # Half of the field of view.
 #: Scatter of a start, and of a start anywhere beside the way, as in SMAL's room.

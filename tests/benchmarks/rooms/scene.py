@@ -20,7 +20,7 @@ _WALL_M: Final = 2.6  # Height of the walls.
 _THICK_M: Final = 0.14
 _PIECE_M: Final = 3.0  # Longest piece of a wall with one picture.
 _PIXELS: Final = 64  # Pixels of a texture a metre: a pixel of the camera at 3 m shows 1.4 cm.
-RADIUS_M: Final = 0.22  # Of the robot.
+RADIUS_M: Final = 0.22  # Radius of the robot.
 TRACK_M: Final = 0.36  # Distance of its wheels.
 FIELD_DEG: Final = FIELD_OF_VIEW_DEG  # Horizontal field of view, as drivers assume.
 #: Walls by their ends; the doors between the pieces are 1.4 m wide.
