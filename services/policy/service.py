@@ -4,7 +4,7 @@ import logging
 import math
 from collections import deque
 from statistics import median
-from typing import Final
+from typing import Final, NamedTuple
 
 from schemas.action import Action
 from schemas.base import Message, Velocity
@@ -45,6 +45,9 @@ class PolicyService:
         self.obstacles = ObstacleMemory()  # Obstacles around the robot, which the plan avoids.
         #: Recent delays of its commands until the robot moves, as reported by the actuator.
         self._delays_s: deque[float] = deque([0.0], maxlen=DELAYS_KEPT)
+        self._held_back = (
+            False  # Whether the actuator has stopped its last motion before an obstacle.
+        )
 
     def load(self, loaded: LoadedModel) -> LoadReply:
         """Work with another model as soon as recognition does."""
@@ -72,9 +75,11 @@ class PolicyService:
         """Do nothing: the plan follows from the next state."""
 
     def see_applied(self, applied: CommandApplied) -> None:
-        """Store the delay of a command, as reported by the actuator."""
+        """Store what the actuator reports about a command: its delay, and whether an obstacle stops the robot."""
         if applied.source == "policy" and applied.delay_ns is not None:
             self._delays_s.append(applied.delay_ns / 1e9)
+        stops = applied.reason == "obstacle" and applied.linear == 0.0
+        self._held_back = applied.source == "policy" and stops
 
     def handle(self, state: State) -> list[Message]:
         """Return the decision, if one is due at this frame, and the command."""
@@ -96,7 +101,8 @@ class PolicyService:
                 return answer
             if last.episode != state.episode:
                 maker.reset()
-        answer = maker.answer(state, median(self._delays_s), self.obstacles)
+        reported = _Reported(median(self._delays_s), self._held_back)
+        answer = maker.answer(state, reported, self.obstacles)
         self._last = (state, answer)
         return answer
 
@@ -129,6 +135,13 @@ class PolicyService:
         )
 
 
+class _Reported(NamedTuple):
+    """Reports of the actuator about recent commands."""
+
+    delay_s: float
+    held_back: bool
+
+
 class _ByFilter:
     """Steers along the taught way by a belief over places."""
 
@@ -144,13 +157,19 @@ class _ByFilter:
         self._planner.reset()
         self._stamp_ns: int | None = None
 
-    def answer(self, state: State, delay_s: float, obstacles: ObstacleMemory) -> list[Message]:
+    def answer(self, state: State, reported: _Reported, obstacles: ObstacleMemory) -> list[Message]:
         elapsed_s = state.since(self._stamp_ns)
         self._stamp_ns = state.stamp_ns
         around = obstacles.around(state.episode, self._planner.radius_m)
         unexpected_ground = math.inf if state.strange_m is None else state.strange_m
         decision = self._planner.decide(
-            belief_of(state), elapsed_s, delay_s, target_of(state), around, unexpected_ground
+            belief_of(state),
+            elapsed_s,
+            reported.delay_s,
+            target_of(state),
+            around,
+            unexpected_ground,
+            held_back=reported.held_back,
         )
         velocity = Velocity(*decision.motion)
         known = int(state.keyframes[0]) if state.status == "recognized" else None
@@ -182,7 +201,9 @@ class _ByPaper:
     def reset(self) -> None:
         self._maker.reset()
 
-    def answer(self, state: State, _delay_s: float, _obstacles: ObstacleMemory) -> list[Message]:
+    def answer(
+        self, state: State, _reported: _Reported, _obstacles: ObstacleMemory
+    ) -> list[Message]:
         answer: list[Message] = []
         if state.status in {"recognized", "unknown"}:
             decision = self._maker.decide(Recognition(state.status, state.tick, state.state))

@@ -49,6 +49,8 @@ class Situation:
         Whether the robot has driven too far without a view that supports its place.
     supported
         Whether the views since the robot was lost are decisive evidence for its place.
+    held
+        Whether an obstacle stopped the robot on its way ahead; None if unknown.
     """
 
     belief: Belief
@@ -68,6 +70,7 @@ class Situation:
     at_end: bool
     unseen: bool
     supported: bool
+    held: bool | None
 
     @property
     def lost(self) -> bool:
@@ -197,13 +200,19 @@ class Search(Behaviour):
     """
 
     def __init__(
-        self, taught: VisualMap, chassis: Chassis, mission: Mission, look: LookAround
+        self,
+        taught: VisualMap,
+        chassis: Chassis,
+        mission: Mission,
+        look: LookAround,
+        back_off: "BackOff",
     ) -> None:
         self._config = chassis.config
         self._taught = taught
         self._chassis = chassis
         self._mission = mission
         self._look = look
+        self._back_off = back_off
         #: Whether the robot estimates to be at the taught goal.
         self.arrived = False
         self._ends = frozenset[int]()
@@ -242,13 +251,14 @@ class Search(Behaviour):
 
     def judge(self, now: Situation) -> Said | None:
         """Return the certain result, if any; otherwise decide whether to approach, or to go on to another end."""
+        stops_before_it = self._nears and self._back_off.begins
         self._nears = False
         if now.unseen and not now.sees:
             return None
         sure = self._sure(now)
         if not self.arrived and now.at_end and sure:
             self._arrive(now.belief)
-        if self._finds(now.target, sure):
+        if self._finds(now.target, sure, stops_before_it):
             return "found"
         self._nears = self._may_approach(now.target, sure)
         if self.arrived:
@@ -278,13 +288,13 @@ class Search(Behaviour):
         at_goal = now.at_goal * (1.0 - now.belief.lost)
         return (followed or looked) and at_goal > self._config.arrived
 
-    def _finds(self, target: TargetEstimate | None, sure: bool) -> bool:
+    def _finds(self, target: TargetEstimate | None, sure: bool, stops_before_it: bool) -> bool:
         """Return whether the target is in view, and about as near as where the taught ways ended."""
         if target is None:
             return self.arrived
-        return self._in_view(target) and (
-            (self.arrived and self._is_near(target)) or (sure and target.near > 1.0)
-        )
+        as_near = self._config.as_near_as_it_can if stops_before_it else self._config.as_near
+        near = self.arrived and target.near > 1.0 / as_near
+        return self._in_view(target) and (near or (sure and target.near > 1.0))
 
     def _may_approach(self, target: TargetEstimate | None, sure: bool) -> bool:
         if target is None or target.left is None or not self._in_view(target):
@@ -337,40 +347,41 @@ class Blind(Behaviour):
 
 
 class BackOff(Behaviour):
-    """Back off the way the robot came if the wheels stand although it drives ahead.
+    """Back off the way the robot came if an obstacle stops it although it drives ahead.
 
-    The robot has touched something; only a robot with odometry notices. The more often it touches
-    something here, the more likely it is elsewhere: at the second time it looks around, and again
-    whenever the number has doubled.
+    The robot has touched something, or its guard sees what the grid of the planner does not contain. Only a robot with
+    odometry, or with a guard, notices. The more often something stops it here, the more likely it is elsewhere: at the
+    second time it looks around, and again whenever the number has doubled.
     """
 
     def __init__(self, chassis: Chassis, look: LookAround) -> None:
         self._chassis = chassis
         self._look = look
-        self._stands_s = 0.0
+        self._held_s = 0.0
         self._backs_s = 0.0
         self._driven = math.inf  # Way ahead since the robot last backed off.
         self._in_vain = False
+        #: Whether the robot begins to back off at this frame.
+        self.begins = False
 
     def note(self, now: Situation) -> None:
-        """Count the time for which the wheels stand."""
+        """Count the time for which an obstacle stops the robot."""
+        self.begins = False
         self._backs_s = max(self._backs_s - now.elapsed_s, 0.0)
-        moved = now.belief.moved
-        if moved is None or now.around is None or now.motion[0] <= 0.0:
+        if now.held is None or now.around is None:
             return
-        commanded = self._chassis.speed * now.motion[0] * now.elapsed_s
-        stands = moved < 0.1 * commanded
-        self._stands_s = self._stands_s + now.elapsed_s if stands else 0.0
-        self._driven += moved
-        if self._stands_s < self._chassis.config.stalls_s:
+        self._held_s = self._held_s + now.elapsed_s if now.held else 0.0
+        self._driven += now.belief.moved or 0.0
+        if self._held_s < self._chassis.config.stalls_s:
             return
         touched = now.around.touch()
         self._in_vain = touched > 1 and touched.bit_count() == 1
         if self._in_vain:
             self._look.again()
-        self._stands_s = 0.0
+        self._held_s = 0.0
         self._backs_s = self._chassis.config.stalls_s
         self._driven = 0.0
+        self.begins = True
 
     def propose(self, now: Situation) -> Intent | None:
         """Back off as far as the space behind is known to be free, then look around if due."""

@@ -44,7 +44,7 @@ class PlannerConfig:
     tracked: float = 2.0
     #: Time, by the clock, that a car stands at the end before it reports that the goal is not there.
     stands_s: float = 1.0
-    #: Time, by the clock, for which the wheels stand before the robot backs off, and backs off.
+    #: Time, by the clock, for which an obstacle stops the robot before it backs off, and backs off.
     stalls_s: float = 1.0
     #: Time, by the clock, that the robot waits before an obstacle without a way round: people have left by then.
     waits_s: float = 5.0
@@ -57,6 +57,8 @@ class PlannerConfig:
     stops_s: float = 2.0
     #: A visible target counts as found within this multiple of the distance at which the taught ways ended.
     as_near: float = 1.3
+    #: The same where an obstacle stops the approach: a person can drive nearer than the robot may by itself.
+    as_near_as_it_can: float = 2.0
     #: Probability from which the target counts as in view, as in learning.
     in_view: float = TARGET_CONFIG.sure
     #: Probability from which unexpected ground ahead counts as the target: more likely than not.

@@ -42,10 +42,10 @@ class Decision:
     ----------
     kind
         "follow": drive along the taught way. "look_around": turn to find the place, because
-        directions disagree, no view supports the place, the robot is at the end of the way, or its
-        wheels stall. "guess": drive in the mean direction, because looking around has not helped.
+        directions disagree, no view supports the place, the robot is at the end of the way, or
+        obstacles stop it. "guess": drive in the mean direction, because looking around has not helped.
         "dead_end": stand, because no taught way leads on to the goal. "blocked": wait before an
-        obstacle, turn to keep it in view, or back off; also back off after the wheels stalled.
+        obstacle, turn to keep it in view, or back off; also back off after an obstacle stopped it.
         "search": at the end of the way, turn to find the target, or approach it. "goal": stand
         after announcing the result. "blind": stand, because no view has supported the robot's place
         for too long.
@@ -89,9 +89,9 @@ class Planner:
         self._doing: Kind | None = None
         self._mission = Mission(self._route)
         look = LookAround(self._taught, self._chassis)
-        self._search = Search(self._taught, self._chassis, self._mission, look)
-        wait = Wait(self._taught, self._chassis, self._mission, look)
         back_off = BackOff(self._chassis, look)
+        self._search = Search(self._taught, self._chassis, self._mission, look, back_off)
+        wait = Wait(self._taught, self._chassis, self._mission, look)
         follow = Follow(look, wait)
         self._behaviours: tuple[Behaviour, ...] = (
             Done(self._mission), self._search, Blind(look), back_off, follow, look, Guess(), DeadEnd(), wait
@@ -120,6 +120,8 @@ class Planner:
         target: TargetEstimate | None = None,
         around: Surroundings | None = None,
         unexpected_ground: float = math.inf,
+        *,
+        held_back: bool = False,
     ) -> Decision:
         """Decide the motion until the next frame.
 
@@ -140,13 +142,16 @@ class Planner:
         unexpected_ground
             Distance to unexpected ground ahead, in the map's unit. A robot without a depth camera, or that does not
             drive around obstacles, slows down and waits before it.
+        held_back
+            Whether the actuator has stopped the last motion before an obstacle.
         """
         if elapsed_s is None:
             elapsed_s = self._taught.tick_s
         # Without decisions the robot stops after a while: it has not gone on turning since.
         elapsed_s = min(elapsed_s, self._config.stands_after_s)
         delay_s = min(delay_s, self._config.stands_after_s)
-        now = self._situation(belief, elapsed_s, delay_s, target, around, unexpected_ground)
+        held = self._held(belief, elapsed_s, held_back=held_back)
+        now = self._situation(belief, elapsed_s, delay_s, target, around, unexpected_ground, held)
         for behaviour in self._behaviours:
             behaviour.note(now)
         self._mission.said = self._mission.said or self._search.judge(now)
@@ -158,6 +163,15 @@ class Planner:
         motion = self._steering.steer(intent, elapsed_s, delay_s)
         return Decision(intent.kind, intent.heading_rad, motion)
 
+    def _held(self, belief: Belief, elapsed_s: float, *, held_back: bool) -> bool | None:
+        """Return whether an obstacle stopped the last motion ahead, by the actuator or by the wheels."""
+        commanded = self._chassis.speed * self._steering.motion[0] * elapsed_s
+        if commanded <= 0.0:
+            return None
+        if held_back or belief.moved is None:
+            return held_back or None
+        return belief.moved < 0.1 * commanded
+
     def _situation(
         self,
         belief: Belief,
@@ -166,6 +180,7 @@ class Planner:
         target: TargetEstimate | None,
         around: Surroundings | None,
         unexpected_ground: float,
+        held: bool | None,
     ) -> Situation:
         taught = self._taught
         route = self._mission.route
@@ -199,4 +214,5 @@ class Planner:
             at_end=float(belief.weights @ at_end) > 0.5,
             unseen=belief.unseen > self._config.blind_s * taught.speed,
             supported=belief.support >= math.log(self._config.decisive),
+            held=held,
         )

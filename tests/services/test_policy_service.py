@@ -5,13 +5,13 @@ from pathlib import Path
 import pytest
 
 from schemas.base import Message
-from schemas.command import CommandApplied
+from schemas.command import CommandApplied, Reason
 from schemas.state import State
 from services.kit.model_service import LoadedModel
 from services.policy.service import PolicyService
 from tests import corridor
 from tests.places import places
-from tests.services.chain import state, with_model
+from tests.services.chain import state, wheels, with_model
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +95,27 @@ def test_how_long_its_commands_take_is_heard_from_the_actuator(model: Path) -> N
         command = service.handle(belief(13, model, turned_rad=-0.07))[1]
         turns[delay_ms] = command.angular
     assert turns[0] > turns[60]
+
+
+@pytest.mark.parametrize(("reason", "backs_off"), [("obstacle", True), ("latched_stop", False)])
+def test_robot_backs_off_when_its_actuator_reports_obstacles(
+    policy: PolicyService, model: Path, reason: Reason, *, backs_off: bool
+) -> None:
+    commands = []
+    for tick in range(30):
+        here = belief(tick, model)
+        x_m = 0.1 * min(tick, 15)  # An obstacle stops it there.
+        policy.obstacles.store_odometry(wheels(tick, (x_m, 0.0, 0.0)))
+        _, command = policy.handle(here)
+        commands.append(command)
+        if tick >= 15:
+            policy.see_applied(
+                CommandApplied.after(
+                    here, source="policy", reason=reason, atom="stop", linear=0.0, angular=0.0
+                )
+            )
+    assert commands[15].linear > 0.0
+    assert (commands[-1].linear < 0.0) == backs_off
 
 
 def test_repeated_state_has_the_same_answer(policy: PolicyService, model: Path) -> None:

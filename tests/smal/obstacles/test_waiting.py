@@ -146,6 +146,28 @@ def test_search_ends_when_a_thing_stands_before_the_target() -> None:
     assert (decisions[0].kind, decisions[-1].kind, planner.said) == ("blocked", "goal", "not_here")
 
 
+@pytest.mark.parametrize(("near", "said"), [(0.59, "found"), (0.3, None)])
+def test_robot_stopped_before_the_target_has_found_it(near: float, said: str | None) -> None:
+    planner = Planner(map_of(16.0))
+    end = belief((160, 0.0, 0.0, 0.0))
+    target = TargetEstimate(0.999, near, 0.0)
+    heard = []
+    for _ in range(13):
+        planner.decide(end, target=target, around=looks([]), held_back=True)
+        heard.append(planner.said)
+    assert (heard[8], heard[-1]) == (None, said)
+
+
+def test_robot_backs_off_when_its_guard_stops_it() -> None:
+    planner = Planner(map_of(16.0))
+    made = looks([])
+    here = belief((HERE, 0.0, 0.0, 0.0))
+    decisions = [planner.decide(here, around=made, held_back=True) for _ in range(14)]
+    assert decisions[0].motion[0] > 0.0
+    assert (decisions[-1].kind, decisions[-1].motion) == ("blocked", (-1.0, 0.0))
+    assert made.free_m(ahead=True) == 0.0
+
+
 def drives(boxes: list[Box], ticks: int = 600) -> tuple[float, int, list[str]]:
     """Drive along the way, y = 0, among boxes that no camera shows.
 
