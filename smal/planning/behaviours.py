@@ -18,6 +18,7 @@ from smal.map import VisualMap, in_common_axes
 from smal.movement import STANDS, Motion
 from smal.obstacles.avoidance import Turns, detour_turn
 from smal.obstacles.clearance import Surroundings
+from smal.planning.config import PlannerConfig
 from smal.planning.route import Route
 from smal.planning.steering import Chassis, Intent, Kind
 from smal.target.detector import TargetEstimate
@@ -334,10 +335,22 @@ class Search(Behaviour):
 
 
 class Blind(Behaviour):
-    """Stand after driving too far without a view that supports the robot's place, once it has looked around."""
+    """Stand after driving too far without a view that supports the robot's place, once it has looked around.
 
-    def __init__(self, look: LookAround) -> None:
+    It looks around again after `PlannerConfig.blind_again_s`: the light can have changed, or somebody can have carried
+    the robot back.
+    """
+
+    def __init__(self, look: LookAround, config: PlannerConfig) -> None:
         self._look = look
+        self._again_s = config.blind_again_s
+        self._stands_s = 0.0
+
+    def note(self, now: Situation) -> None:
+        """Count the time for which the robot stands; when due, look around."""
+        self._stands_s = self._stands_s + now.elapsed_s if now.doing == "blind" else 0.0
+        if self._stands_s >= self._again_s:
+            self._look.again()
 
     def propose(self, now: Situation) -> Intent | None:
         """Stand, unless looking around can help."""

@@ -33,6 +33,8 @@ class PlannerConfig:
     #: Time of driving without a supporting view after which the robot stands. With the time of its decision and its
     #: brakes, it stands within a second of driving after its camera has failed.
     blind_s: float = 0.5
+    #: Time, by the clock, that it stands until it looks around again: about as long as it takes to look around.
+    blind_again_s: float = 10.0
     #: Minimum saving for changing drives: the offset between two drives is less certain than either drive.
     go_over_s: float = 2.0
     #: Probability of being near the goal that counts as arrived.

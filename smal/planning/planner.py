@@ -94,8 +94,16 @@ class Planner:
         wait = Wait(self._taught, self._chassis, self._mission, look)
         follow = Follow(look, wait)
         self._behaviours: tuple[Behaviour, ...] = (
-            Done(self._mission), self._search, Blind(look), back_off, follow, look, Guess(), DeadEnd(), wait
-        )  # fmt: skip
+            Done(self._mission),
+            self._search,
+            Blind(look, self._config),
+            back_off,
+            follow,
+            look,
+            Guess(),
+            DeadEnd(),
+            wait,
+        )
 
     @property
     def arrived(self) -> bool:

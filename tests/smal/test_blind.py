@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 import pytest
@@ -106,3 +107,8 @@ def test_robot_looks_around_when_the_camera_sees_unknown_views() -> None:
     unseen = replace(here, unseen=1.0)
     assert {planner.decide(replace(unseen, camera="blank")).kind for _ in range(5)} == {"blind"}
     assert planner.decide(unseen).kind == "look_around"
+    turns = [planner.decide(unseen).kind for _ in range(4 * ticks)]
+    again = round(PLANNER_CONFIG.blind_again_s / STRAIGHT.tick_s)
+    kinds = [(kind, len(list(same))) for kind, same in groupby(turns)]
+    assert [kind for kind, _ in kinds][:3] == ["look_around", "blind", "look_around"]
+    assert kinds[1][1] == pytest.approx(again, abs=1)
