@@ -166,7 +166,9 @@ class LookAround(Behaviour):
         ahead = self._chassis.speed * max(now.motion[0], 0.0) * now.elapsed_s
         self._followed = self._followed + ahead if now.doing == "follow" else 0.0
         self._guessed_s += now.elapsed_s if now.doing == "guess" else 0.0
-        due = self._followed > self._length or self._guessed_s >= self._config.guess_s
+        turned_s = math.pi / self._chassis.turn_rad_s  # Time to turn to any direction.
+        guessed = self._guessed_s >= turned_s + self._config.guess_s
+        due = self._followed > self._length or guessed
         elsewhere = now.at_end and self.done and not self.done_here
         if due or elsewhere or (now.unseen and max(self._followed, self._guessed_s) > 0.0):
             self.again()
@@ -421,11 +423,36 @@ class Follow(Behaviour):
 
 
 class Guess(Behaviour):
-    """Drive in the mean direction if looking around has not resolved the ambiguity."""
+    """Drive in the most probable direction if looking around has not resolved the ambiguity.
+
+    The direction stays as chosen, by the executed turns: while the robot turns, the belief changes,
+    and a robot that follows it can turn for ever.
+    """
+
+    def __init__(self, chassis: Chassis) -> None:
+        self._chassis = chassis
+        self._heading_rad: float | None = None
+
+    def note(self, now: Situation) -> None:
+        """Follow the robot's turn."""
+        if now.doing != "guess":
+            self._heading_rad = None
+        elif self._heading_rad is not None:
+            self._heading_rad -= now.motion[1] * self._chassis.turn_rad_s * now.elapsed_s
 
     def propose(self, now: Situation) -> Intent | None:
-        """Drive in the mean direction."""
-        return now.drive("guess") if now.has_way or now.lost else None
+        """Turn to the direction, and drive straight."""
+        if not (now.has_way or now.lost):
+            return None
+        if self._heading_rad is None:
+            self._heading_rad = self._likeliest_rad(now)
+        return Intent("guess", None, self._heading_rad, stepwise=True)
+
+    def _likeliest_rad(self, now: Situation) -> float:
+        """Return the direction with which most of the weight agrees."""
+        apart = np.cos(now.directions[:, None] - now.directions)
+        agree = apart >= math.cos(math.radians(self._chassis.config.wide_deg))
+        return float(now.directions[(agree @ now.weights).argmax()])
 
 
 class DeadEnd(Behaviour):

@@ -28,7 +28,7 @@ class PlannerConfig:
     #: Likelihood ratio of all views to views of elsewhere from which a robot drives without looking
     #: around first: "decisive" on the scale of Jeffreys (1961).
     decisive: float = 100.0
-    #: Time of driving by the best guess before the robot looks around again.
+    #: Time of driving by the best guess before the robot looks around again, beside the time to turn round.
     guess_s: float = 2.0
     #: Time of driving without a supporting view after which the robot stands. With the time of its decision and its
     #: brakes, it stands within a second of driving after its camera has failed.

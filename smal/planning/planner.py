@@ -100,7 +100,7 @@ class Planner:
             back_off,
             follow,
             look,
-            Guess(),
+            Guess(self._chassis),
             DeadEnd(),
             wait,
         )

@@ -241,21 +241,22 @@ def test_unsure_robot_looks_around_then_guesses(lost: float) -> None:
     decisions = [planner.decide(unsure) for _ in range(400)]
     kinds = [decision.kind for decision in decisions]
     look = math.ceil(math.degrees(PLANNER_CONFIG.look_rad) / 4.5)
-    guess = round(PLANNER_CONFIG.guess_s / TICK)
+    drive = round(PLANNER_CONFIG.guess_s / TICK)
+    guess = drive + round(180.0 / 4.5)  # It may have to turn round first.
     assert set(kinds) == {"look_around", "guess"}
     assert kinds[:look] == ["look_around"] * look
     for start in range(0, 400 - look - guess - 5, look + guess):
-        counted = Counter(kinds[start : start + look + guess])
+        some = decisions[start : start + look + guess]
+        counted = Counter(decision.kind for decision in some)
         assert counted["look_around"] == pytest.approx(look, abs=2)
         assert counted["guess"] == pytest.approx(guess, abs=2)
+        assert sum(decision.motion[0] == 1.0 for decision in some) >= drive - 2
     # It looks to one side, turns round the other way, and drives when it guesses.
     turns = [key(decision) for decision in decisions[:look]]
     aside = turns.index(Atom.RIGHT if turns[0] is Atom.LEFT else Atom.LEFT)
     assert aside == pytest.approx(PLANNER_CONFIG.look_aside_deg / 4.5, abs=1)
     assert len(set(turns[:aside])) == len(set(turns[aside:])) == 1
     assert key(decisions[0]) in (Atom.LEFT, Atom.RIGHT)
-    if lost:
-        assert key(decisions[look + 2]) is Atom.FORWARD
 
 
 def steps(headings_deg: list[float], elapsed_s: float = TICK) -> list[Motion]:
