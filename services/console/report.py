@@ -35,7 +35,7 @@ def report_page(recording: ListedRecording) -> str:
     facts = {
         "outcome": (recording.outcome or "end not recorded").replace("_", " "),
         "driven": f"{recording.metres:.1f} m",
-        "time": f"{recording.seconds:.0f} s",
+        "time": f"{recording.seconds:.1f} s",
         "frames": recording.frames,
         "world": recording.world or "unknown",
     }

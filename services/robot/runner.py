@@ -164,10 +164,11 @@ class EpisodeRunner(Generic[V]):
         self.gate.guard = guard_of(self.body)
         self.gate.kinematics = self.body.kinematics
         self.gate.wheels = WheelCheck(self.body.kinematics, self.frame_s)
-        now = pace.gate_s(0)
-        now_ns = self._clocks.wall_ns()
+        # The start has the time of the first frame.
+        begun_s = pace.captured_s(episode.view, 0)
+        begun_ns = self._clocks.wall_ns() - round((pace.gate_s(0) - begun_s) * 1e9)
         self.running = run = Running(
-            name, episode, pace, now, now_ns, now_ns, client_s=self._clocks.monotonic_s()
+            name, episode, pace, begun_s, begun_ns, begun_ns, client_s=self._clocks.monotonic_s()
         )
         messages.append(self._event(run, "started"))
         try:

@@ -33,13 +33,13 @@ function trouble({ link, robot, age, ill, unattended }) {
 
 /** Sentence about the running episode, as [level, text]. */
 function now({ robot, sits, taken, unattended, frames_hz, plan }) {
-  const hand = robot.driver === "teleop", rate = robot.tick / robot.seconds;
+  const hand = robot.driver === "teleop", rate = robot.rate_hz;
   const stands = hand && robot.reason === "silence";
   const correct = sits ? "; hold a key to correct it" : "";
   if (robot.source === "policy" && robot.reason === "obstacle") return ["warn", `${HELD_UP}${correct}`];
   if (REASONS[robot.reason] && !stands) return REASONS[robot.reason];
   if (robot.source === "policy" && STUCK.includes(plan)) return ["warn", `The robot ${PLANS[plan]}${correct}`];
-  if (unattended && robot.seconds > SETTLED_S && rate < SLOW * frames_hz) return ["warn", tooSlow(rate, frames_hz)];
+  if (unattended && robot.seconds > SETTLED_S && rate !== null && rate < SLOW * frames_hz) return ["warn", tooSlow(rate, frames_hz)];
   if (hand && sits) return ["good", `Drive to ${robot.goal}, then press “Found”`];
   if (stands) return ["warn", taken ? "The driver holds no key" : "Take control, then hold a key to drive"];
   if (robot.source === "policy") return ["good", `The robot drives to ${robot.goal} by itself${correct}`];

@@ -68,7 +68,8 @@ export function episodeFacts(robot) {
   if (!robot?.purpose) return "";
   const now = robot.episode ? `, it ${does(robot)}` : "";
   const end = robot.outcome ? `, ${OUTCOMES[robot.outcome]}` : "";
-  return `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: frame ${robot.tick}${now}${end}`;
+  const frames = robot.tick + 1;  // the first frame has tick 0
+  return `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: ${frames} frames${now}${end}`;
 }
 
 /** Description of the belief; `age` in seconds. */
@@ -121,7 +122,7 @@ export const jobText = ({ name, doing, done, outcome, why }) =>
 export function recordingFacts(one, when) {
   if (one.useless) return one.useless;
   const end = `${OUTCOMES[one.outcome] ?? "end not recorded"}${one.corrected ? ", corrected by hand" : ""}`;
-  return `${end}, ${one.world}, ${Math.round(one.seconds)} s, ${one.frames} frames, ${when}`;
+  return `${end}, ${one.world}, ${seconds(one.seconds)}, ${one.frames} frames, ${when}`;
 }
 
 /** Whether a person teaches now: then an earlier model's belief and plan have no meaning. */

@@ -24,7 +24,7 @@ IDLE = {"answers": True, "waiting": False, "emergency": False, "episode": None, 
         "outcome": None, "right": None, "purpose": None, "seconds": None}  # fmt: skip
 DRIVE = IDLE | {
     "episode": "e", "purpose": "drive", "driver": "teleop", "source": "teleop", "goal": "victim",
-    "reason": "command", "tick": 300, "seconds": 30.0,
+    "reason": "command", "tick": 300, "seconds": 30.0, "rate_hz": 10.0,
 }  # fmt: skip
 RUN = DRIVE | {"purpose": "run", "driver": "policy", "source": "policy"}
 FOUND = RUN | {"episode": None, "outcome": "found", "seconds": 41.0}
@@ -74,15 +74,15 @@ STATES: dict[str, tuple[dict[str, Any], tuple[str, str, str, str]]] = {
         ("run", "old", "The robot does not answer for 12 s", "run"),
     ),
     "the computer is slow": (
-        {"robot": RUN | {"tick": 120}, **LEARNED},
+        {"robot": RUN | {"rate_hz": 4.0}, **LEARNED},
         ("run", "warn", SLOW, "quit"),
     ),
     "an obstacle stops a slow run": (
-        {"robot": RUN | {"tick": 120, "reason": "obstacle"}, "sits": True},
+        {"robot": RUN | {"rate_hz": 4.0, "reason": "obstacle"}, "sits": True},
         ("run", "warn", "An obstacle slows down or stops the robot; hold a key to correct it", "quit"),
     ),
     "a person has taken over a slow run": (
-        {"robot": RUN | {"tick": 120, "source": "teleop", "reason": "taken_over"}},
+        {"robot": RUN | {"rate_hz": 4.0, "source": "teleop", "reason": "taken_over"}},
         ("run", "warn", "You drive: press “Resume”, and the robot goes on by itself", "resume"),
     ),
     "a stop is latched": (

@@ -68,7 +68,7 @@ def test_report_of_a_drive_is_one_file(library: Library, nobody: Nobody, page: P
     nobody.library = library
     status, report = page.get("/report?of=drives/drive-1.mcap")
     assert status == 200
-    for text in ("Drive to victim", "<dd>found</dd>", "<dd>1 s</dd>", "drive-1", "<polyline"):
+    for text in ("Drive to victim", "<dd>found</dd>", "<dd>1.1 s</dd>", "drive-1", "<polyline"):
         assert text in report.decode()
     (recording,) = library.recordings()
     assert f"<dd>{recording.metres:.1f} m</dd>" in report.decode()
