@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
 
 from schemas.codec import printable
+from schemas.episode import Outcome, in_words
 from schemas.motion import Odometry, TruePose
 from schemas.topics import APPLIED, JPEG, ODOMETRY, POSE
 from services.console.driven_route import DrivenRoute
@@ -53,7 +54,7 @@ class ListedRecording:
     purpose: str | None = None
     goal: str = ""
     world: str = ""
-    outcome: str | None = None
+    outcome: Outcome | None = None
     # Whether a person took over during a run, which makes the run a lesson.
     corrected: bool = False
     kidnapped: int = 0  # How often the robot was moved elsewhere.
@@ -67,9 +68,9 @@ class ListedRecording:
     metres: float = 0.0
 
     def shown(self) -> dict[str, object]:
-        """Return the entry for the page, with the number of its thumbnails and without its path."""
+        """Return the entry for the page: outcome in words, number of thumbnails, and no path."""
         shown = {name: value for name, value in vars(self).items() if name != "path"}
-        return shown | {"thumbnails": len(self.thumbnails)}
+        return shown | {"thumbnails": len(self.thumbnails), "result": in_words(self.outcome)}
 
 
 class RecordedMoment(NamedTuple):

@@ -1,10 +1,5 @@
 // Texts about the robot.
 
-export const OUTCOMES = {
-  found: "found", collision: "collision", timeout: "out of time", aborted: "ended before the goal",
-  false_goal: "it reported “found”, wrongly", missed: "it passed the goal without a report",
-  not_here: "it reported “not here”",
-};
 export const DOES = {
   forward: "drives forward", backward: "drives backward", left: "turns left", right: "turns right", stop: "stands",
 };
@@ -67,7 +62,7 @@ function does({ atom, linear, angular }) {
 export function episodeFacts(robot) {
   if (!robot?.purpose) return "";
   const now = robot.episode ? `, it ${does(robot)}` : "";
-  const end = robot.outcome ? `, ${OUTCOMES[robot.outcome]}` : "";
+  const end = robot.outcome ? `, ${robot.result}` : "";
   const frames = robot.tick + 1;  // the first frame has tick 0
   return `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: ${frames} frames${now}${end}`;
 }
@@ -121,9 +116,12 @@ export const jobText = ({ name, doing, done, outcome, why }) =>
 /** Description of a recording, or the reason why it cannot teach. */
 export function recordingFacts(one, when) {
   if (one.useless) return one.useless;
-  const end = `${OUTCOMES[one.outcome] ?? "end not recorded"}${one.corrected ? ", corrected by hand" : ""}`;
+  const end = `${one.result}${one.corrected ? ", corrected by hand" : ""}`;
   return `${end}, ${one.world}, ${seconds(one.seconds)}, ${one.frames} frames, ${when}`;
 }
 
 /** Whether a person teaches now: then an earlier model's belief and plan have no meaning. */
 export const teaching = (robot) => Boolean(robot?.episode) && robot.purpose === "drive";
+
+/** A text with a capital letter. */
+export const capital = (text) => text[0].toUpperCase() + text.slice(1);

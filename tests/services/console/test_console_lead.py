@@ -27,7 +27,8 @@ DRIVE = IDLE | {
     "reason": "command", "tick": 300, "seconds": 30.0, "rate_hz": 10.0,
 }  # fmt: skip
 RUN = DRIVE | {"purpose": "run", "driver": "policy", "source": "policy"}
-FOUND = RUN | {"episode": None, "outcome": "found", "seconds": 41.0}
+FOUND = RUN | {"episode": None, "outcome": "found", "result": "found", "seconds": 41.0}
+NOT_HERE = FOUND | {"outcome": "not_here", "right": True, "result": "it reported “not here”, rightly"}
 LEARNS = {"kind": "model", "name": "w", "doing": "Learning w", "stage": "matching", "share": 0.4,
           "left_s": 20.0}  # fmt: skip
 FAILED = LEARNS | {"outcome": "failed", "why": "no goal in view"}
@@ -66,7 +67,7 @@ STATES: dict[str, tuple[dict[str, Any], tuple[str, str, str, str]]] = {
         ("run", "good", "Found: 0.4 m, 41 s", "run"),
     ),
     "the operator is lost after the end": (
-        {"robot": FOUND | {"outcome": "not_here", "right": True, "cause": "operator_lost"}, **LEARNED},
+        {"robot": NOT_HERE | {"cause": "operator_lost"}, **LEARNED},
         ("run", "good", "It reported “not here”, rightly: 41 s", "run"),
     ),
     "the robot is dead": (

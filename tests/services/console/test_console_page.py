@@ -157,7 +157,7 @@ def test_a_model_learns_more_from_the_runs_of_today(
 def recording(name: str) -> dict[str, object]:
     facts = {
         "when_s": 1.0, "size": 1, "purpose": "drive", "goal": "victim", "world": "yard",
-        "outcome": "found",
+        "outcome": "found", "result": "found",
     }  # fmt: skip
     shown = {"frames": 9, "seconds": 1.0, "useless": "", "thumbnails": 0}
     return {"name": f"drives/{name}.mcap", "episode": name, **facts, **shown}
@@ -559,7 +559,7 @@ def run_and_find(page: Page, board: Board, moments: int = 8) -> None:
         grey = 35 + 220 * k // (moments - 1)  # An empty canvas is black.
         board.show(encode_jpeg(np.full((48, 64, 3), grey, np.uint8)))
         eventually(lambda grey=grey: abs(run_in(page, GREY.format("#camera")) - grey) < 4)
-    ended = {"episode": None, "outcome": "found", "right": None, "seconds": moments / 2}
+    ended = {"episode": None, "outcome": "found", "result": "found", "seconds": moments / 2}
     board.put("robot", RUN | ended | {"at": board.clock()})
     page.wait_for_selector("#finish:visible")
 
@@ -620,7 +620,10 @@ def test_finish_is_there_again_after_a_reload(
         f"report?of=drives%2F{name}.mcap" for name in ("run-before", "run-1")
     }
     # A drive since then: the card waits until it is asked for.
-    board.put("robot", DRIVE | {"episode": None, "outcome": "found", "at": board.clock()})
+    board.put(
+        "robot",
+        DRIVE | {"episode": None, "outcome": "found", "result": "found", "at": board.clock()},
+    )
     board.put("driven", {"episode": "drive-1", "metres": 3.0})
     board.put("goal", {"episode": "drive-1", "at": None, "boxes": []})
     page.reload()
@@ -640,7 +643,7 @@ LONG_RUN = """new Promise((done) => document.querySelector("#camera canvas").toB
 
 def test_time_line_covers_a_long_run_in_300_pictures(page: Page, board: Board) -> None:
     run_in(page, LONG_RUN)
-    ended = {"episode": None, "outcome": "timeout", "right": None, "seconds": 2000.0}
+    ended = {"episode": None, "outcome": "timeout", "result": "out of time", "seconds": 2000.0}
     board.put("robot", RUN | ended | {"at": board.clock()})
     page.wait_for_selector("#finish:visible")
     assert 150 <= int(page.get_attribute("#finish input", "max")) <= 300
