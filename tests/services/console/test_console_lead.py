@@ -28,7 +28,11 @@ DRIVE = IDLE | {
 }  # fmt: skip
 RUN = DRIVE | {"purpose": "run", "driver": "policy", "source": "policy"}
 FOUND = RUN | {"episode": None, "outcome": "found", "result": "found", "seconds": 41.0}
-NOT_HERE = FOUND | {"outcome": "not_here", "right": True, "result": "it reported “not here”, rightly"}
+NOT_HERE = FOUND | {
+    "outcome": "not_here",
+    "right": True,
+    "result": "it reported “not here”, rightly",
+}
 LEARNS = {"kind": "model", "name": "w", "doing": "Learning w", "stage": "matching", "share": 0.4,
           "left_s": 20.0}  # fmt: skip
 FAILED = LEARNS | {"outcome": "failed", "why": "no goal in view"}
