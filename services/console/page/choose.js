@@ -1,7 +1,7 @@
 // Choosing start and goal of a simulated world on the map, by clicks, or by a crosshair that keys move.
 
-import { MOVES, STEP_PX } from "./carry.js";
 import { $, say } from "./element.js";
+import { wireMapKeys } from "./map_keys.js";
 
 const NEAR_M = 60, NEAR_TIMES = 1.5;
 const WANTED = ["the start", "the goal"];
@@ -69,15 +69,14 @@ export function wireChoice({ enlarge, chosen, redraw }) {
   canvas.addEventListener("click", ({ offsetX, offsetY }) => choice && pick([offsetX, offsetY]));
   aim.onblur = cancel;
   addEventListener("resize", () => choice && cancel());
-  aim.onkeydown = (event) => {
-    const { key } = event;
-    if (!choice || !(key in MOVES || ["Enter", " ", "Escape"].includes(key))) return;
-    event.preventDefault();
-    event.stopPropagation();  // these keys neither drive nor stop the robot
-    if (key === "Escape") return cancel();
-    if (!(key in MOVES)) return event.repeat || pick(choice.aim);
-    const sides = [canvas.clientWidth, canvas.clientHeight];
-    choice.aim = choice.aim.map((one, axis) => Math.max(0, Math.min(one + STEP_PX * MOVES[key][axis], sides[axis])));
-    ask();
-  };
+  wireMapKeys(aim, {
+    active: () => choice,
+    move: (by) => {
+      const sides = [canvas.clientWidth, canvas.clientHeight];
+      choice.aim = choice.aim.map((one, axis) => Math.max(0, Math.min(one + by[axis], sides[axis])));
+      ask();
+    },
+    enter: () => choice && pick(choice.aim),
+    cancel,
+  });
 }
