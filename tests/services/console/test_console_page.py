@@ -564,6 +564,17 @@ def run_and_find(page: Page, board: Board, moments: int = 8) -> None:
     page.wait_for_selector("#finish:visible")
 
 
+COVERED = """(() => {
+    const news = document.querySelector("#latest").getBoundingClientRect();
+    return [...document.querySelectorAll("a, button, select, input, summary")]
+        .filter((one) => one.checkVisibility())
+        .map((one) => [one.outerHTML.slice(0, 80), one.getBoundingClientRect()])
+        .filter(([, { left, right, top, bottom }]) =>
+            left < news.right && right > news.left && top < news.bottom && bottom > news.top)
+        .map(([html]) => html);
+})()"""
+
+
 def test_finish_shows_the_run_when_it_has_ended(page: Page, board: Board) -> None:
     run_and_find(page, board)
     assert page.inner_text("#finish-title") == "Found"
@@ -584,6 +595,14 @@ def test_finish_shows_the_run_when_it_has_ended(page: Page, board: Board) -> Non
     )
     page.wait_for_selector("#report:visible")
     assert page.get_attribute("#report", "href") == "report?of=drives%2Fa.mcap"
+    for number, size in enumerate([(1024, 768), (1920, 1080), (800, 600)], 1):
+        page.set_viewport_size({"width": size[0], "height": size[1]})
+        text = f"{number}: victim-2026-11-29T10-00: cannot be read: not an MCAP file, or damaged"
+        board.put("news", [{"number": number, "at": board.clock(), "text": text}])
+        page.wait_for_selector(f"#latest:has-text('{number}: victim')")
+        for end in (0, "document.body.scrollHeight"):
+            run_in(page, f"scrollTo(0, {end})")
+            assert run_in(page, COVERED) == []
     page.set_viewport_size({"width": 390, "height": 844})
     assert run_in(page, "document.documentElement.scrollWidth") == 390
     assert run_in(page, SMALL) == []
