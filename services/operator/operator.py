@@ -372,7 +372,7 @@ class Operator:
     def resume(self) -> None:
         """Arm the robot if necessary, and return control to its previous driver."""
         if self.commands.held is not None:
-            self._say("release the key first")
+            self._say("let go first, then resume")
             return
         request = self._resuming()
         arm = self._arming()

@@ -2,6 +2,7 @@
 
 import { $, say } from "./element.js";
 import { wireMapKeys } from "./map_keys.js";
+import { clickOn } from "./words.js";
 
 const NEAR_M = 60, NEAR_TIMES = 1.5;
 const WANTED = ["the start", "the goal"];
@@ -23,7 +24,7 @@ export function cornersOf({ shapes, start, victim }) {
 
 function ask() {
   const where = WANTED[choice.picked.length];
-  say(state, `Click ${where} on the map. By keys: arrows, Enter; Escape cancels.`);
+  say(state, clickOn(where));
   aim.setAttribute("aria-label", `Cross: choose ${where}`);
   aim.style.translate = choice.aim.map((one) => `${one}px`).join(" ");
 }

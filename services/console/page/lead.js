@@ -1,6 +1,6 @@
 // The header: the step, one sentence, and the next actions, all derived from one state.
 
-import { CAUSES, HELD_UP, MISSED, PLANS, REASONS, capital, jobFacts, jobText, seconds, tooSlow } from "./words.js";
+import { CAUSES, HELD_UP, MISSED, PLANS, REASONS, capital, control, jobFacts, jobText, seconds, tooSlow } from "./words.js";
 
 const SILENT_S = 2, SETTLED_S = 5, SLOW = 0.8;
 /** Action that begins each step. */
@@ -34,13 +34,13 @@ function trouble({ link, robot, age, ill, unattended }) {
 function now({ robot, sits, taken, unattended, frames_hz, plan }) {
   const hand = robot.driver === "teleop", rate = robot.rate_hz;
   const stands = hand && robot.reason === "silence";
-  const correct = sits ? "; hold a key to correct it" : "";
+  const correct = sits ? `; hold ${control()} to correct it` : "";
   if (robot.source === "policy" && robot.reason === "obstacle") return ["warn", `${HELD_UP}${correct}`];
   if (REASONS[robot.reason] && !stands) return REASONS[robot.reason];
   if (robot.source === "policy" && STUCK.includes(plan)) return ["warn", `The robot ${PLANS[plan]}${correct}`];
   if (unattended && robot.seconds > SETTLED_S && rate !== null && rate < SLOW * frames_hz) return ["warn", tooSlow(rate, frames_hz)];
   if (hand && sits) return ["good", `Drive to ${robot.goal}, then press “Found”`];
-  if (stands) return ["warn", taken ? "The driver holds no key" : "Take control, then hold a key to drive"];
+  if (stands) return ["warn", taken ? "The driver lets the robot stand" : `Take control, then hold ${control()} to drive`];
   if (robot.source === "policy") return ["good", `The robot drives to ${robot.goal} by itself${correct}`];
   return ["good", robot.source ? "A person drives" : "The robot stands"];
 }

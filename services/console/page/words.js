@@ -1,5 +1,12 @@
 // Texts about the robot.
 
+const coarse = matchMedia("(pointer: coarse)");
+/** Control that a person holds to drive: a finger has no keys. */
+export const control = () => (coarse.matches ? "the arrow pad" : "a key");
+/** Request for a click on the map. */
+export const clickOn = (place) =>
+  coarse.matches ? `Tap ${place} on the map.` : `Click ${place} on the map. By keys: arrows, Enter; Escape cancels.`;
+
 export const DOES = {
   forward: "drives forward", backward: "drives backward", left: "turns left", right: "turns right", stop: "stands",
 };
@@ -17,13 +24,13 @@ export const CAUSES = {
   wheels: "The robot stands: its odometry contradicts the commands. Look at its wheels, then press “Resume”",
   fault: "The robot stands: its body has failed. Look at it, then press “Resume”",
 };
-export const MISSED = "It stands: this computer was busy. Press a drive key, or “Resume”";
+export const MISSED = "It stands: this computer was busy. Drive on, or press “Resume”";
 /** Why the robot does not follow its driver, with the level of the sentence. */
 export const REASONS = {
   taken_over: ["warn", "You drive: press “Resume”, and the robot goes on by itself"],
   silence: ["warn", "The robot stands: it receives no command"],
   deaf: ["bad", "The robot stands: its link to the router is down; it goes on when the link is back"],
-  obstacle: ["warn", "An obstacle: to go on slowly all the same, let go, and hold the key again"],
+  obstacle: ["warn", "An obstacle: to go on slowly all the same, let go, and drive on"],
   no_depth: ["bad", "The robot stands: its depth camera shows no ground, is frozen, or is too late"],
   insisted: ["warn", "There is an obstacle: it goes on slowly, since you insist"],
 };

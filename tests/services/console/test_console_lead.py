@@ -122,14 +122,32 @@ def page(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     server.close()
 
 
-@pytest.mark.parametrize("name", STATES)
-def test_header_leads_when(page: Page, name: str) -> None:
-    state, wanted = STATES[name]
+def led_by(page: Page, state: dict[str, Any]) -> dict[str, Any]:
+    """Return the header of a state."""
     common = {
         "robot": None, "job": None, "chosen": None, "link": "", "age": 0.1, "ill": "", "unattended": True,
         "frames_hz": 10, "sits": False, "taken": False, "distance": None, "drives": 0, "models": 0,
         "untaught": False, "unlisted": False,
     }  # fmt: skip
     asked = json.dumps(common | state)
-    led = run_in(page, f"import('./lead.js').then(({{lead}}) => lead({asked}))")
+    led: dict[str, Any] = run_in(page, f"import('./lead.js').then(({{lead}}) => lead({asked}))")
+    return led
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_header_leads_when(page: Page, name: str) -> None:
+    state, wanted = STATES[name]
+    led = led_by(page, state)
     assert (led["step"], led["level"], led["text"], led["does"][0]) == wanted
+
+
+def test_header_names_the_arrow_pad_when_a_finger_drives(browser: Browser, page: Page) -> None:
+    with browser.new_context(has_touch=True, is_mobile=True) as phone:
+        touched = phone.new_page()
+        touched.goto(page.url)
+        waits = {"robot": DRIVE | {"reason": "silence"}}
+        texts = [led_by(touched, state)["text"] for state, _ in [*STATES.values(), (waits, None)]]
+        assert not touched.locator("#stop kbd").is_visible()
+    assert texts[-1] == "Take control, then hold the arrow pad to drive"
+    assert "The robot has no route from here; hold the arrow pad to correct it" in texts
+    assert [text for text in texts if " key" in text] == []
