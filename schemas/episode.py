@@ -53,11 +53,17 @@ _Share = Annotated[float, Field(ge=0, le=1)]
 Box = Annotated[tuple[_Share, _Share, _Share, _Share], AfterValidator(_has_an_area)]
 
 
-def in_words(outcome: Outcome | None, right: bool | None) -> str:
+_WORDS: Final[dict[Outcome | None, str]] = {
+    "found": "found", "collision": "collision", "timeout": "out of time", "aborted": "ended before the goal",
+    "false_goal": "it reported “found”, wrongly", "missed": "it passed the goal without a report",
+    "not_here": "it reported “not here”", None: "end not recorded",
+}  # fmt: skip
+_RIGHT: Final = {True: ", rightly", False: ", wrongly", None: ""}
+
+
+def in_words(outcome: Outcome | None, right: bool | None = None) -> str:
     """Return the outcome in words, with whether the robot's report is right if that is known."""
-    return (outcome or "").replace("_", " ") + {True: ", rightly", False: ", wrongly", None: ""}[
-        right
-    ]
+    return _WORDS[outcome] + _RIGHT[right]
 
 
 class Episode(Message):

@@ -8,7 +8,7 @@ import typer
 from tqdm import tqdm
 from typer import Option
 
-from schemas.episode import Purpose
+from schemas.episode import Purpose, in_words
 from schemas.rpc import ResetRequest
 from services.cli import options, outputs
 from services.cli.episodes.client import EpisodeClient, EpisodeRecord
@@ -112,6 +112,6 @@ def _complain(record: EpisodeRecord) -> None:
     outcome = record.outcome
     if outcome == "collision" or (purpose == "drive" and outcome != "found"):
         tqdm.write(
-            f"warning: {purpose} with seed {record.request.seed} ended as {outcome}; smal "
-            "learn ignores it"
+            f"warning: {purpose} with seed {record.request.seed}: {in_words(outcome)}; smal learn "
+            "ignores it"
         )

@@ -14,8 +14,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
 
-from schemas.base import TICK_S
 from schemas.codec import printable
+from schemas.episode import Outcome, in_words
 from schemas.motion import Odometry, TruePose
 from schemas.topics import APPLIED, JPEG, ODOMETRY, POSE
 from services.console.driven_route import DrivenRoute
@@ -54,7 +54,7 @@ class ListedRecording:
     purpose: str | None = None
     goal: str = ""
     world: str = ""
-    outcome: str | None = None
+    outcome: Outcome | None = None
     # Whether a person took over during a run, which makes the run a lesson.
     corrected: bool = False
     kidnapped: int = 0  # How often the robot was moved elsewhere.
@@ -68,9 +68,9 @@ class ListedRecording:
     metres: float = 0.0
 
     def shown(self) -> dict[str, object]:
-        """Return the entry for the page, with the number of its thumbnails and without its path."""
+        """Return the entry for the page: outcome in words, number of thumbnails, and no path."""
         shown = {name: value for name, value in vars(self).items() if name != "path"}
-        return shown | {"thumbnails": len(self.thumbnails)}
+        return shown | {"thumbnails": len(self.thumbnails), "result": in_words(self.outcome)}
 
 
 class RecordedMoment(NamedTuple):
@@ -172,14 +172,13 @@ def read(path: Path, listed: ListedRecording) -> ListedRecording:
     by_hand = any(
         one.source == "teleop" or one.reason == "taken_over" for one in episode.applied.values()
     )
-    ticks = sorted(episode.images)
     driven = _route(episode.odometry)
     same: dict[str, Any] = {name: getattr(episode, name) for name in _SAME}
     return replace(
         listed,
         corrected=episode.purpose == "run" and by_hand,
         kidnapped=len(episode.kidnapped),
-        seconds=(ticks[-1] - ticks[0]) * TICK_S if ticks else 0.0,
+        seconds=episode.seconds(max(episode.images)) if episode.images else 0.0,
         useless=useless or "",
         thumbnails=tuple(jpeg for _, jpeg in _pictures(episode, THUMBNAILS, _WIDTH)),
         path=_pieces(episode),
@@ -210,9 +209,8 @@ def read_moments(path: Path) -> RecordedMoments:
     except RecordingError:
         return RecordedMoments()
     poses = episode.poses or episode.odometry
-    first = min(episode.images)
     moments = tuple(
-        RecordedMoment((tick - first) * TICK_S, poses[tick].pose if tick in poses else None, jpeg)
+        RecordedMoment(episode.seconds(tick), poses[tick].pose if tick in poses else None, jpeg)
         for tick, jpeg in _pictures(episode, _MOMENTS, _MOMENT_WIDTH)
     )
     return RecordedMoments(bool(episode.poses), moments)

@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 
 from jinja2 import Template
 
+from schemas.episode import in_words
 from services.console.listing import ListedRecording
 from services.kit.templates import template_environment
 from services.kit.version import program_version
@@ -33,9 +34,9 @@ def report_page(recording: ListedRecording) -> str:
     """Return the page of a listed recording; text of the recording is escaped."""
     kind = "Run" if recording.purpose == "run" else "Drive"
     facts = {
-        "outcome": (recording.outcome or "end not recorded").replace("_", " "),
+        "outcome": in_words(recording.outcome),
         "driven": f"{recording.metres:.1f} m",
-        "time": f"{recording.seconds:.0f} s",
+        "time": f"{recording.seconds:.1f} s",
         "frames": recording.frames,
         "world": recording.world or "unknown",
     }

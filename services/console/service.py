@@ -15,6 +15,7 @@ from schemas import topics
 from schemas.action import Action
 from schemas.base import Velocity
 from schemas.codec import printable
+from schemas.episode import in_words
 from schemas.rpc import (
     CarryRequest,
     LoadReply,
@@ -48,7 +49,7 @@ from services.console.who_drives import LEASE_S, LET_GO_S
 from services.kit.model_service import most_ticks
 from services.kit.node import Node, ServiceError
 from services.kit.root import WORLDS, below
-from services.operator.operator import POLL_S, Operator
+from services.operator.operator import POLL_S, Operator, Report
 from services.table import CHAIN
 
 LOAD_S: Final = 60.0  # Timeout of loading a model.
@@ -67,8 +68,7 @@ class ConsoleService:
         self._board = board
         self._news: deque[dict[str, object]] = deque(maxlen=_LINES)
         self._news_count = 0
-        show = lambda report: board.put("robot", asdict(report))  # noqa: E731
-        self._operator = Operator(node, self._say, show, board.clock, self._bridges)
+        self._operator = Operator(node, self._say, self._show, board.clock, self._bridges)
         self.library = Library(root)
         self.live = LiveContent(node, board, self.library)
         self._jobs = Jobs(lambda job: board.put("job", job))
@@ -80,7 +80,7 @@ class ConsoleService:
         node.subscribe(topics.ACTION, self._on_action)
         node.every(POLL_S, self._work)
         node.detail = lambda: {"watchers": board.watchers, "root": str(root)}
-        board.put("robot", asdict(self._operator.report))
+        self._show(self._operator.report)
         board.put("robot_id", node.robot)
         board.put("taken", content=False)
 
@@ -117,6 +117,11 @@ class ConsoleService:
             while True:
                 self._asked.get_nowait()()
         self._operator.poll()
+
+    def _show(self, report: Report) -> None:
+        """Show the robot, with the outcome in words."""
+        result = in_words(report.outcome, report.right) if report.outcome else None
+        self._board.put("robot", asdict(report) | {"result": result})
 
     def _say(self, text: str) -> None:
         self._news_count += 1

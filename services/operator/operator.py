@@ -12,7 +12,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 from schemas import topics
-from schemas.base import NO_EPISODE, TICK_S, Atom, Source, Strict, Velocity
+from schemas.base import NO_EPISODE, TICK_S, Atom, Message, Source, Strict, Velocity
 from schemas.command import CommandApplied, StopCause
 from schemas.episode import Box, Episode, Outcome, Purpose, Said, in_words
 from schemas.heartbeat import Heartbeat, Pulse
@@ -62,6 +62,7 @@ _UNKNOWN: Final = (
     "outcome",
     "right",
     "seconds",
+    "rate_hz",
     "moved",
 )
 # Number of pulses that can still be answered, with some reserve; they arrive every 0.05 s.
@@ -97,8 +98,10 @@ class Report:
     world: str | None = None
     outcome: Outcome | None = None
     right: bool | None = None  # Whether the report "not here" is right; None if unknown.
-    # Duration of the running episode, or of the last one; None if its start was not received.
+    # Duration of the running episode, or of the last one, by the robot's clock, which is simulated in
+    # a simulation; None if its start was not received.
     seconds: float | None = None
+    rate_hz: float | None = None  # Mean rate of its frames in real time; None if unknown.
     moved: bool | None = None  # Whether it has driven ahead or back; None if unknown.
     kidnapped: int = 0  # How often it was kidnapped in the running episode, or in the last one.
 
@@ -130,7 +133,9 @@ class Operator:
         # The running episode, if it was begun here, and its request.
         self.mine: str | None = None
         self.request: ResetRequest | None = None
-        self._began_s = 0.0  # Start of the episode.
+        # Start of the episode, by this process's clock and by the robot's.
+        self._began_s = 0.0
+        self._began_ns = 0
         self._beats = count()
         # Time of the last message of the robot, and of its episode.
         self._heard_s = self._applied_s = -math.inf
@@ -160,7 +165,7 @@ class Operator:
             # It began before this process, so its details are unknown.
             news |= dict.fromkeys(_UNKNOWN) | {"kidnapped": 0}
         else:
-            news["seconds"] = self._seconds()
+            news |= self._times(applied)
             if applied.linear and self.report.moved is not None:
                 news["moved"] = True
         self._note(
@@ -178,18 +183,22 @@ class Operator:
         named = f"{'Run' if event.purpose == 'run' else 'Drive'} to {event.goal}"
         if event.event == "started":
             self._began_s = self._clock()
+            self._began_ns = event.stamp_ns
             self._note(
                 **told,
                 at=self._began_s,
                 waiting=False,
                 episode=event.episode,
                 seconds=0.0,
+                rate_hz=None,
                 moved=False,
                 kidnapped=0,
             )
         elif event.event == "ended":
-            self._note(**told, at=self._clock(), episode=None, seconds=self._seconds())
-            self._say(f"{named}: {in_words(event.outcome, event.right)} after {event.tick} frames")
+            self._note(**told, at=self._clock(), episode=None, **self._times(event))
+            # The first frame has tick 0.
+            frames = event.tick + 1
+            self._say(f"{named}: {in_words(event.outcome, event.right)} after {frames} frames")
             if event.episode == self.mine:
                 self.mine = None
         else:
@@ -220,9 +229,15 @@ class Operator:
                 self._note(at=now, answers=True, episode=None, cause=pulse.stop_cause)
             self._node.publish(self.commands.told(pulse.latched_stop))
 
-    def _seconds(self) -> float | None:
-        """Return the duration of the running episode; None if its start was not received."""
-        return None if self.report.seconds is None else round(self._clock() - self._began_s, 1)
+    def _times(self, frame: Message) -> dict[str, float | None]:
+        """Return the duration at a frame, and the mean rate; None if the start was not received."""
+        if self.report.seconds is None:
+            return {"seconds": None, "rate_hz": None}
+        passed_s = self._clock() - self._began_s
+        return {
+            "seconds": (frame.stamp_ns - self._began_ns) / 1e9,
+            "rate_hz": frame.tick / passed_s if passed_s > 0.0 else None,
+        }
 
     def _note(self, **news: Any) -> None:  # noqa: ANN401 - of the report's fields
         before = self.report
@@ -357,7 +372,7 @@ class Operator:
     def resume(self) -> None:
         """Arm the robot if necessary, and return control to its previous driver."""
         if self.commands.held is not None:
-            self._say("release the key first")
+            self._say("let go first, then resume")
             return
         request = self._resuming()
         arm = self._arming()

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.episode import in_words
 from services.kit.cameras import camera_of
 from services.kit.errors import UsageError
 from services.recordings.encoding import decode_image
@@ -228,14 +229,13 @@ def unusable(episode: RecordedEpisode, *, include_runs: bool) -> str | None:
     if episode.purpose == "run" and not include_runs:
         return "the robot drove by itself (--include-runs takes successful runs)"
     if episode.purpose == "run" and episode.outcome != "found":
-        ended = episode.outcome or "end not recorded"
-        return f"the robot drove by itself without success ({ended})"
+        return f"the robot drove by itself without success ({in_words(episode.outcome)})"
     if episode.kidnapped:
         return f"the robot was kidnapped (frame {episode.kidnapped[0]}), unknown to its odometry"
     if episode.outcome == "collision":
         return "collision"
     if episode.purpose == "drive" and episode.outcome in ("timeout", "aborted"):
-        return f"victim not reached ({episode.outcome})"
+        return f"victim not reached ({in_words(episode.outcome)})"
     return None
 
 

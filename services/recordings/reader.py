@@ -55,6 +55,7 @@ def read_recording(
         episode = found.setdefault(ids, RecordedEpisode(*ids))
         if stored.topic is JPEG:
             episode.images.setdefault(stored.tick, stored.payload)
+            episode.stamps_ns.setdefault(stored.tick, stored.stamp_ns)
             continue
         try:
             _take(episode, stored)

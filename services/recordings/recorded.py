@@ -32,6 +32,8 @@ class RecordedEpisode:
     kidnapped: list[int] = field(default_factory=list)
     #: As recorded, for ``encoding.decode_image``.
     images: dict[int, memoryview] = field(default_factory=dict)
+    #: Capture times of the images by the robot's clock, nanoseconds.
+    stamps_ns: dict[int, int] = field(default_factory=dict)
     odometry: dict[int, Odometry] = field(default_factory=dict)
     imu: dict[int, Imu] = field(default_factory=dict)
     applied: dict[int, CommandApplied] = field(default_factory=dict)  # From this tick to the next.
@@ -43,6 +45,10 @@ class RecordedEpisode:
     def frames(self) -> int:
         """Number of recorded images."""
         return len(self.images)
+
+    def seconds(self, tick: int) -> float:
+        """Return the robot's time from the first image to that of a tick, seconds."""
+        return (self.stamps_ns[tick] - self.stamps_ns[min(self.stamps_ns)]) / 1e9
 
     def pieces(self) -> list[NDArray[np.int64]]:
         """Return the ticks of each stretch without a gap.

@@ -92,6 +92,8 @@ class EpisodeRunner(Generic[V]):
         self._cancelling = Cancelling()
         self._count = 0
         self.running: Running[V] | None = None
+        #: Error that ended the last episode, one line; None without one.
+        self.fault: str | None = None
 
     # -- requests ----------------------------------------------------------------------------------
 
@@ -147,6 +149,7 @@ class EpisodeRunner(Generic[V]):
         """End the running episode and begin the next; return the reply and the messages to publish."""
         self.check_reset(request)
         messages = self.end()
+        self.fault = None
         pace = self._paces[request.mode]()
         self._count += 1
         name = f"{request.name or f'{request.purpose}-{request.seed}'}-{self.session}-{self._count}"
@@ -164,10 +167,11 @@ class EpisodeRunner(Generic[V]):
         self.gate.guard = guard_of(self.body)
         self.gate.kinematics = self.body.kinematics
         self.gate.wheels = WheelCheck(self.body.kinematics, self.frame_s)
-        now = pace.gate_s(0)
-        now_ns = self._clocks.wall_ns()
+        # The start has the time of the first frame.
+        begun_s = pace.captured_s(episode.view, 0)
+        begun_ns = self._clocks.wall_ns() - round((pace.gate_s(0) - begun_s) * 1e9)
         self.running = run = Running(
-            name, episode, pace, now, now_ns, now_ns, client_s=self._clocks.monotonic_s()
+            name, episode, pace, begun_s, begun_ns, begun_ns, client_s=self._clocks.monotonic_s()
         )
         messages.append(self._event(run, "started"))
         try:
@@ -295,8 +299,10 @@ class EpisodeRunner(Generic[V]):
             return
         try:
             yield from self.running.pace.poll(self, self.running)
-        except Exception:
+        except Exception as error:
             # An interrupted frame cannot be answered or repeated, so the episode cannot continue.
+            known = isinstance(error, ServiceError)
+            self.fault = str(error) if known else "internal error; see the log of robot"
             yield from self.end(Ended("aborted"))
             raise
 

@@ -196,6 +196,7 @@ class RobotService:
             "tick": running.tick if running else None,
             "latched_stop": gate.latched_stop,
             "stop_cause": gate.stop_cause,
+            "fault": self._runner.fault,
             "taken_over": gate.taken_over,
             "attended": gate.attended,
             "operator": gate.operator is not None,

@@ -9,7 +9,7 @@ from pydantic import Field
 from schemas.base import ATOMS, KEYS, Atom, Velocity
 from schemas.codec import printable
 from schemas.command import StopCause
-from schemas.episode import GoalName
+from schemas.episode import GoalName, in_words
 from schemas.rpc import Nothing, ResetRequest, Status
 from services.kit.errors import JobError
 from services.kit.node import Node
@@ -196,7 +196,7 @@ def status_line(robot: Report, held: Velocity | None, now_s: float) -> str:
         episode = "waiting for the robot; a simulator's first picture takes a while"
     elif robot.episode is None:
         episode = (
-            f"ended: {robot.outcome}; n: next episode"
+            f"ended: {in_words(robot.outcome, robot.right)}; n: next episode"
             if robot.outcome
             else "no episode; n: begin one"
         )

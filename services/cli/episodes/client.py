@@ -129,7 +129,8 @@ class EpisodeClient:
         Raises
         ------
         JobError
-            If the robot is in another world, or sends nothing for `SILENCE_S`.
+            If the robot is in another world, sends nothing for `SILENCE_S`, or ends the episode
+            because of an error.
         """
         self._record = record = EpisodeRecord(request)
         self._ended = False
@@ -160,6 +161,8 @@ class EpisodeClient:
                     f"robot {self.node.robot}: no message for {SILENCE_S:.0f} s; see the "
                     "stack's logs"
                 )
+        if record.outcome == "aborted" and self._ended:
+            self._raise_fault()
         if record.said == "found" and not self._ended:
             self._await_judge()
         if not self._ended:
@@ -197,6 +200,12 @@ class EpisodeClient:
     def _of(self, message: Message) -> EpisodeRecord | None:
         """Return the current record if a message belongs to its episode."""
         return self._record if message.episode == self._episode else None
+
+    def _raise_fault(self) -> None:
+        """Raise JobError with the error that ended the episode, if any."""
+        robot = self.node.bus.call("robot", "status", Nothing(), Status).detail
+        if robot.get("fault"):
+            raise JobError(f"episode {self._episode} ended by an error: {robot['fault']}")
 
     def _await_judge(self) -> None:
         """Give the operator time to confirm the goal if only a person can judge it."""

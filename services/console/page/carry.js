@@ -1,12 +1,10 @@
 // The robot on the map of a simulated world: a person carries it elsewhere by mouse, finger, pen or keys.
 
 import { $, say } from "./element.js";
+import { wireMapKeys } from "./map_keys.js";
 
 // The robot follows the hand as a trailer follows its hitch, so it faces where it was pulled.
 const BAR_PX = 24, CLICK_PX = 4;
-/** Pixels of a key press, and the directions of the keys. */
-export const STEP_PX = 6;
-export const MOVES = { ArrowUp: [0, -1], ArrowDown: [0, 1], ArrowLeft: [-1, 0], ArrowRight: [1, 0] };
 const button = $("#carry"), canvas = $("#map canvas"), state = $("#map-state");
 
 let shown = null, hand = null;
@@ -83,17 +81,21 @@ export function wireCarry({ carry, redraw, click, tell }) {
   button.onpointercancel = () => hand?.pointer && back();
   addEventListener("resize", () => hand && back());
   button.onblur = () => hand && !hand.pointer && back();
-  button.onkeydown = (event) => {
-    const { key } = event, enters = key === "Enter" || key === " ";
-    if (!enters && !(hand && (key in MOVES || key === "Escape"))) return;
-    event.preventDefault();
-    event.stopPropagation();  // with the robot in the hand these keys neither drive nor stop it
-    if (event.repeat && enters) return;
-    if (key === "Escape") return back();
-    if (enters && hand) return put();
-    if (enters) take();
-    else pull(hand.pixel.map((one, axis) => one + STEP_PX * MOVES[key][axis]));
+  const held = () => {
     say(state, "In your hand: the arrow keys move the robot, Enter puts it down, Escape cancels.");
     redraw();
   };
+  wireMapKeys(button, {
+    active: () => hand,
+    move: (by) => {
+      pull(hand.pixel.map((one, axis) => one + by[axis]));
+      held();
+    },
+    enter: () => {
+      if (hand) return put();
+      take();
+      held();
+    },
+    cancel: back,
+  });
 }

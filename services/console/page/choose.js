@@ -1,7 +1,8 @@
 // Choosing start and goal of a simulated world on the map, by clicks, or by a crosshair that keys move.
 
-import { MOVES, STEP_PX } from "./carry.js";
 import { $, say } from "./element.js";
+import { wireMapKeys } from "./map_keys.js";
+import { clickOn } from "./words.js";
 
 const NEAR_M = 60, NEAR_TIMES = 1.5;
 const WANTED = ["the start", "the goal"];
@@ -23,7 +24,7 @@ export function cornersOf({ shapes, start, victim }) {
 
 function ask() {
   const where = WANTED[choice.picked.length];
-  say(state, `Click ${where} on the map. By keys: arrows, Enter; Escape cancels.`);
+  say(state, clickOn(where));
   aim.setAttribute("aria-label", `Cross: choose ${where}`);
   aim.style.translate = choice.aim.map((one) => `${one}px`).join(" ");
 }
@@ -69,15 +70,14 @@ export function wireChoice({ enlarge, chosen, redraw }) {
   canvas.addEventListener("click", ({ offsetX, offsetY }) => choice && pick([offsetX, offsetY]));
   aim.onblur = cancel;
   addEventListener("resize", () => choice && cancel());
-  aim.onkeydown = (event) => {
-    const { key } = event;
-    if (!choice || !(key in MOVES || ["Enter", " ", "Escape"].includes(key))) return;
-    event.preventDefault();
-    event.stopPropagation();  // these keys neither drive nor stop the robot
-    if (key === "Escape") return cancel();
-    if (!(key in MOVES)) return event.repeat || pick(choice.aim);
-    const sides = [canvas.clientWidth, canvas.clientHeight];
-    choice.aim = choice.aim.map((one, axis) => Math.max(0, Math.min(one + STEP_PX * MOVES[key][axis], sides[axis])));
-    ask();
-  };
+  wireMapKeys(aim, {
+    active: () => choice,
+    move: (by) => {
+      const sides = [canvas.clientWidth, canvas.clientHeight];
+      choice.aim = choice.aim.map((one, axis) => Math.max(0, Math.min(one + by[axis], sides[axis])));
+      ask();
+    },
+    enter: () => choice && pick(choice.aim),
+    cancel,
+  });
 }

@@ -2,7 +2,7 @@
 
 import { $, color, element, say } from "./element.js";
 import { drawPlaces, placesOf } from "./map.js";
-import { OUTCOMES, finishFacts, reportOf, seconds } from "./words.js";
+import { capital, finishFacts, reportOf, seconds } from "./words.js";
 
 // Kept pictures: five a second for the first minute. If there are too many, every second picture is dropped.
 const APART_S = 0.2, MOST = 300, MOST_BYTES = 16e6;
@@ -97,8 +97,8 @@ async function load(state, shown = () => {}) {
 
 const blobOf = (base64) => new Blob([Uint8Array.from(atob(base64), (one) => one.charCodeAt(0))], { type: "image/jpeg" });
 
-function finish(state, { outcome, seconds: s, kidnapped, metres }) {
-  const text = OUTCOMES[outcome] ?? "end not recorded", title = text[0].toUpperCase() + text.slice(1);
+function finish(state, { result, seconds: s, kidnapped, metres }) {
+  const title = capital(result);
   run.end = { s, title, kidnapped, metres, off: null, places: placesOf(state, run.episode) };
   run.path = run.moments.map(({ here }) => here).filter(Boolean);
   say($("#finish-title"), title);

@@ -1,13 +1,12 @@
 // The header: the step, one sentence, and the next actions, all derived from one state.
 
-import { CAUSES, HELD_UP, MISSED, OUTCOMES, PLANS, REASONS, jobFacts, jobText, seconds, tooSlow } from "./words.js";
+import { CAUSES, HELD_UP, MISSED, PLANS, REASONS, capital, control, jobFacts, jobText, seconds, tooSlow } from "./words.js";
 
 const SILENT_S = 2, SETTLED_S = 5, SLOW = 0.8;
 /** Action that begins each step. */
 const BEGINS = { teach: "drive", learn: "learn", run: "run" };
 /** Plans of a robot that does not get on by itself. */
 const STUCK = ["blind", "blocked", "dead_end", "stop"];
-const RIGHT = { true: ", rightly", false: ", wrongly" };
 const GUIDE = {
   teach: "Drive to the goal once; then the robot finds the way by itself",
   learn: "Now let the robot learn the way",
@@ -33,15 +32,15 @@ function trouble({ link, robot, age, ill, unattended }) {
 
 /** Sentence about the running episode, as [level, text]. */
 function now({ robot, sits, taken, unattended, frames_hz, plan }) {
-  const hand = robot.driver === "teleop", rate = robot.tick / robot.seconds;
+  const hand = robot.driver === "teleop", rate = robot.rate_hz;
   const stands = hand && robot.reason === "silence";
-  const correct = sits ? "; hold a key to correct it" : "";
+  const correct = sits ? `; hold ${control()} to correct it` : "";
   if (robot.source === "policy" && robot.reason === "obstacle") return ["warn", `${HELD_UP}${correct}`];
   if (REASONS[robot.reason] && !stands) return REASONS[robot.reason];
   if (robot.source === "policy" && STUCK.includes(plan)) return ["warn", `The robot ${PLANS[plan]}${correct}`];
-  if (unattended && robot.seconds > SETTLED_S && rate < SLOW * frames_hz) return ["warn", tooSlow(rate, frames_hz)];
+  if (unattended && robot.seconds > SETTLED_S && rate !== null && rate < SLOW * frames_hz) return ["warn", tooSlow(rate, frames_hz)];
   if (hand && sits) return ["good", `Drive to ${robot.goal}, then press “Found”`];
-  if (stands) return ["warn", taken ? "The driver holds no key" : "Take control, then hold a key to drive"];
+  if (stands) return ["warn", taken ? "The driver lets the robot stand" : `Take control, then hold ${control()} to drive`];
   if (robot.source === "policy") return ["good", `The robot drives to ${robot.goal} by itself${correct}`];
   return ["good", robot.source ? "A person drives" : "The robot stands"];
 }
@@ -50,10 +49,10 @@ function now({ robot, sits, taken, unattended, frames_hz, plan }) {
 function result({ robot, distance }) {
   if (!robot?.outcome) return "";
   const taught = robot.purpose === "drive" && robot.outcome === "found";
-  const what = taught ? "you reached the goal" : OUTCOMES[robot.outcome] + (RIGHT[robot.right] ?? "");
+  const what = taught ? "you reached the goal" : robot.result;
   const metres = distance === null ? [] : [`${distance.toFixed(1)} m`];
   const numbers = [...metres, ...(robot.seconds === null ? [] : [seconds(robot.seconds)])].join(", ");
-  return what[0].toUpperCase() + what.slice(1) + (numbers && `: ${numbers}`);
+  return capital(what) + (numbers && `: ${numbers}`);
 }
 
 /** Actions during an episode, the next one first. */

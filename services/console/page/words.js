@@ -1,10 +1,12 @@
 // Texts about the robot.
 
-export const OUTCOMES = {
-  found: "found", collision: "collision", timeout: "out of time", aborted: "ended before the goal",
-  false_goal: "it reported “found”, wrongly", missed: "it passed the goal without a report",
-  not_here: "it reported “not here”",
-};
+const coarse = matchMedia("(pointer: coarse)");
+/** Control that a person holds to drive: a finger has no keys. */
+export const control = () => (coarse.matches ? "the arrow pad" : "a key");
+/** Request for a click on the map. */
+export const clickOn = (place) =>
+  coarse.matches ? `Tap ${place} on the map.` : `Click ${place} on the map. By keys: arrows, Enter; Escape cancels.`;
+
 export const DOES = {
   forward: "drives forward", backward: "drives backward", left: "turns left", right: "turns right", stop: "stands",
 };
@@ -22,13 +24,13 @@ export const CAUSES = {
   wheels: "The robot stands: its odometry contradicts the commands. Look at its wheels, then press “Resume”",
   fault: "The robot stands: its body has failed. Look at it, then press “Resume”",
 };
-export const MISSED = "It stands: this computer was busy. Press a drive key, or “Resume”";
+export const MISSED = "It stands: this computer was busy. Drive on, or press “Resume”";
 /** Why the robot does not follow its driver, with the level of the sentence. */
 export const REASONS = {
   taken_over: ["warn", "You drive: press “Resume”, and the robot goes on by itself"],
   silence: ["warn", "The robot stands: it receives no command"],
   deaf: ["bad", "The robot stands: its link to the router is down; it goes on when the link is back"],
-  obstacle: ["warn", "An obstacle: to go on slowly all the same, let go, and hold the key again"],
+  obstacle: ["warn", "An obstacle: to go on slowly all the same, let go, and drive on"],
   no_depth: ["bad", "The robot stands: its depth camera shows no ground, is frozen, or is too late"],
   insisted: ["warn", "There is an obstacle: it goes on slowly, since you insist"],
 };
@@ -67,8 +69,9 @@ function does({ atom, linear, angular }) {
 export function episodeFacts(robot) {
   if (!robot?.purpose) return "";
   const now = robot.episode ? `, it ${does(robot)}` : "";
-  const end = robot.outcome ? `, ${OUTCOMES[robot.outcome]}` : "";
-  return `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: frame ${robot.tick}${now}${end}`;
+  const end = robot.outcome ? `, ${robot.result}` : "";
+  const frames = robot.tick + 1;  // the first frame has tick 0
+  return `${robot.purpose === "run" ? "Run" : "Drive"} to ${robot.goal} in ${robot.world}: ${frames} frames${now}${end}`;
 }
 
 /** Description of the belief; `age` in seconds. */
@@ -120,9 +123,12 @@ export const jobText = ({ name, doing, done, outcome, why }) =>
 /** Description of a recording, or the reason why it cannot teach. */
 export function recordingFacts(one, when) {
   if (one.useless) return one.useless;
-  const end = `${OUTCOMES[one.outcome] ?? "end not recorded"}${one.corrected ? ", corrected by hand" : ""}`;
-  return `${end}, ${one.world}, ${Math.round(one.seconds)} s, ${one.frames} frames, ${when}`;
+  const end = `${one.result}${one.corrected ? ", corrected by hand" : ""}`;
+  return `${end}, ${one.world}, ${seconds(one.seconds)}, ${one.frames} frames, ${when}`;
 }
 
 /** Whether a person teaches now: then an earlier model's belief and plan have no meaning. */
 export const teaching = (robot) => Boolean(robot?.episode) && robot.purpose === "drive";
+
+/** A text with a capital letter. */
+export const capital = (text) => text[0].toUpperCase() + text.slice(1);

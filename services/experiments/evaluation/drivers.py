@@ -1,9 +1,10 @@
 """Drivers by name: the methods of this repository, and others by ``MODULE:CLASS``."""
 
+import ast
 import hashlib
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from functools import partial
@@ -28,6 +29,8 @@ from smal.planning import Said
 from smal.teaching.demonstration import Demonstration
 
 FEATURES: Final = FeatureSettings()  # Features of all drives and queries.
+#: Packages whose code every unit's name contains.
+_OURS: Final = ("schemas", "services", "smal")
 FIELD_RAD: Final = math.radians(FIELD_OF_VIEW_DEG)
 DEFAULT_LENGTH: Final = LearningSettings().sequence_length
 LENGTHS: Final = (1, 2, 5, 10, 20, 40)  # Sequence lengths of the paper's scheme.
@@ -171,11 +174,59 @@ def _imported(name: str, module: str) -> Any:  # noqa: ANN401 - any module
 
 
 def code_of(name: str) -> str:
-    """Return the digest of the file of another driver's module; empty for the drivers of `DRIVERS`."""
+    """Return the digest of another driver's module and of its helper modules; empty for `DRIVERS`.
+
+    Helper modules are imported by the module, also indirectly, and lie in the working folder or in
+    its package.
+    """
     if name in DRIVERS:
         return ""
-    file = getattr(_imported(name, name.partition(":")[0]), "__file__", None)
-    return "" if file is None else hashlib.sha256(Path(file).read_bytes()).hexdigest()
+    module = name.partition(":")[0]
+    file = getattr(_imported(name, module), "__file__", None)
+    if file is None:
+        return ""
+    digest = hashlib.sha256(Path(file).read_bytes())
+    for helper, path in sorted(_helpers(module, Path(file)).items()):
+        digest.update(f"{helper}\0".encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _helpers(module: str, file: Path) -> dict[str, Path]:
+    """Return the files of a module and of its helper modules by name."""
+    parts = module.split(".")
+    root = file.parents[len(parts) - (file.name != "__init__.py")]
+    in_package = root != Path.cwd()
+    waiting = [module]
+    found: dict[str, Path] = {}
+    while waiting:
+        name = waiting.pop()
+        top, *below = name.split(".")
+        if name in found or top in _OURS or (in_package and top != parts[0]):
+            continue
+        base = root.joinpath(top, *below)
+        files = (base / "__init__.py", base.with_suffix(".py"))
+        path = next((one for one in files if one.is_file()), None)
+        if path is not None:
+            found[name] = path
+            package = name if path == files[0] else name.rpartition(".")[0]
+            waiting.extend(_imports(path, package))
+    return found
+
+
+def _imports(file: Path, package: str) -> Iterator[str]:
+    """Yield the absolute names that a file of a package imports, with their packages."""
+    for node in ast.walk(ast.parse(file.read_bytes())):
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [one.name for one in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            parts = package.split(".")
+            above = parts[: len(parts) - node.level + 1] if node.level else []
+            base = ".".join([*above, *filter(None, [node.module])])
+            names = [f"{base}.{one.name}" for one in node.names]
+        for name in names:
+            parts = name.split(".")
+            yield from (".".join(parts[: k + 1]) for k in range(len(parts)))
 
 
 class CheckedDriver:

@@ -38,6 +38,8 @@ _METRES_STOREY_M: Final = (1.8, 15.0)
 # Horizontal extent of a place without a ceiling, and its height in other units than metres.
 _EXTENT_M: Final = (2.0, 300.0)
 _HEIGHT_M: Final = 15.0
+# A storey this high in a given unit, and usual in a unit of at most a tenth, contradicts the given unit.
+_ABSURD_STOREY_M: Final = 50.0
 # Share of the largest level's area that a floor and a ceiling have at least.
 _LEVEL: Final = 0.25
 _BINS: Final = 256
@@ -95,14 +97,14 @@ def read_scan(source: Path, scale: float | None = None, up: str | None = None) -
         parts, faces, untextured, notes = _parts(source, kind)
     except (OSError, SyntaxError, ValueError) as error:  # As Pillow raises them.
         raise WorldError(f"its content is damaged ({error})") from None
-    axis, axis_note = _up_axis(faces, up, usual="y" if kind in {"glb", "gltf"} else None)
+    axis, *axis_notes = _up_axis(faces, up, usual="y" if kind in {"glb", "gltf"} else None)
     scale_m, scale_note = _scale(parts, faces, axis, scale, metric=kind in {"glb", "gltf"})
     turn = np.array(_ROTATIONS[axis], dtype=np.float64)
     return Scanned(
         tuple(replace(part, vertices=part.vertices @ turn.T * scale_m) for part in parts),
         tuple(one.turned(turn, scale_m) for one in faces),
         untextured,
-        (axis_note, scale_note, *notes),
+        (*axis_notes, scale_note, *notes),
     )
 
 
@@ -273,15 +275,20 @@ class _Jpegs:
 
 def _up_axis(
     faces: Sequence[PartFaces], wish: str | None, usual: str | None
-) -> tuple[str, tuple[str, str]]:
-    """Return the up axis: by default the normal of the largest level surface."""
-    area = {axis: _largest_level(faces, axis) for axis in ("y", "z")}
-    best = max(area, key=lambda axis: area[axis])
+) -> tuple[str, *tuple[tuple[str, str], ...]]:
+    """Return the up axis, by default the normal of the largest level surface, and its notes."""
+    area = {axis: _largest_level(faces, axis) for axis in "xyz"}
+    best = max("yz", key=lambda axis: area[axis])
     if usual is not None and area[best] < _CLEARLY * area[usual]:
         best = usual
-    axis = wish or best
-    how = "given" if wish else "detected; --up AXIS sets it"
-    return axis, ("up axis", f"{axis} ({how})")
+    if wish is None:
+        return best, ("up axis", f"{best} (detected; --up AXIS sets it)")
+    given = ("up axis", f"{wish} (given)")
+    share = area[wish[-1]] / area[best]
+    if share >= 1.0:
+        return wish, given
+    why = f"the largest level surface along {wish[-1]} has {share:.0%} of the area along {best}"
+    return wish, given, ("warning", f"{why}; if the floor is wrong, give --up {best}")
 
 
 def _levels(
@@ -326,12 +333,54 @@ def _scale(
     metric: bool,
 ) -> tuple[float, tuple[str, str]]:
     """Return the metres per unit of the file, by the height of a storey or else by the extent."""
+    storey = _storey(faces, axis)
+    if wish is not None:
+        _check_size(faces, axis, storey, wish)
+        return wish, ("unit", f"{wish:g} m (given)")
     size = np.ptp(np.concatenate([part.vertices for part in parts]), axis=0)
     up = "xyz".index(axis[-1])
     plan = np.delete(size, up)
-    unit, why = _unit(_storey(faces, axis), float(plan.max()), float(size[up]), metric=metric)
-    scale = wish or _UNITS[unit]
-    return scale, ("unit", f"{scale:g} m ({'given' if wish else why})")
+    unit, why = _unit(storey, float(plan.max()), float(size[up]), metric=metric)
+    return _UNITS[unit], ("unit", f"{_UNITS[unit]:g} m ({why})")
+
+
+def _check_size(faces: Sequence[PartFaces], axis: str, storey: float | None, scale: float) -> None:
+    """Raise WorldError if a place is absurdly large in a given unit: its import takes minutes."""
+    size = _size(faces)
+    up = "xyz".index(axis[-1])
+    plan = np.delete(size, up)
+    smaller = (metres for metres in _UNITS.values() if metres <= 0.1 * scale)
+    absurd = (
+        storey is not None
+        and storey * scale > _ABSURD_STOREY_M
+        and any(_STOREY_M[0] <= storey * metres <= _STOREY_M[1] for metres in smaller)
+    )
+    if not absurd and plan.max() * scale <= _EXTENT_M[1]:
+        return
+    advice = "cut it into parts"
+    with suppress(WorldError):
+        unit, _ = _unit(storey, float(plan.max()), float(size[up]), metric=False)
+        if _UNITS[unit] < scale:
+            advice = f"give --scale {_UNITS[unit]:g} ({unit}), or leave it out"
+    long, wide = (plan * scale).tolist()
+    storeys = "" if storey is None else f", a storey of {storey * scale:.0f} m"
+    raise WorldError(
+        f"--scale {scale:g}: too large, {long:.0f} x {wide:.0f} m{storeys} (maximum {_EXTENT_M[1]:g} m); {advice}"
+    )
+
+
+def _size(faces: Sequence[PartFaces]) -> NDArray[np.float64]:
+    """Return the extent (3,) of the surfaces without outliers, in units of the file."""
+    areas = np.concatenate([one.areas for one in faces])
+    corners = np.concatenate([one.corners for one in faces])
+    middle = corners.mean(axis=1)
+    inside = np.ones(len(areas), dtype=np.bool_)
+    for along in middle.T:
+        order = np.argsort(along)
+        share = np.cumsum(areas[order]) / areas.sum()
+        low, high = along[order][np.searchsorted(share, (_OUTLIERS, 1 - _OUTLIERS))]
+        inside &= (along >= low) & (along <= high)
+    return np.asarray(np.ptp(corners[inside].reshape(-1, 3), axis=0))
 
 
 def _unit(storey: float | None, extent: float, height: float, *, metric: bool) -> tuple[str, str]:

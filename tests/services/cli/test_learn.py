@@ -102,7 +102,7 @@ def test_a_model_with_shared_states_is_learned(
     ("purpose", "outcome", "reason"),
     [
         ("drive", "collision", "collision"),
-        ("drive", "timeout", "victim not reached (timeout)"),
+        ("drive", "timeout", "victim not reached (out of time)"),
         (
             "run",
             "found",
@@ -124,7 +124,7 @@ def test_successful_runs_teach_on_request(tmp_path: Path) -> None:
         record(tmp_path, drive(name, purpose="run", outcome=outcome))
     taught = teach(tmp_path, include_runs=True).teaching
     assert [one.name for one in taught.demonstrations] == ["good"]
-    assert any("drove by itself without success (timeout)" in line for line in taught.lines())
+    assert any("drove by itself without success (out of time)" in line for line in taught.lines())
 
 
 def test_a_gap_splits_a_drive(tmp_path: Path) -> None:
@@ -247,7 +247,7 @@ def test_drive_with_gaps_teaches_whole_when_it_has_no_odometry(
     assert "failed" not in captured.err
     assert captured.out.splitlines()[-4:-1] == [
         "drive   frames  used  note",
-        "failed      40     0  victim not reached (timeout)",
+        "failed      40     0  victim not reached (out of time)",
         "e           30    30  3 gaps (1.0 s) bridged by views",
     ]
     assert captured.out.splitlines()[-1] == (

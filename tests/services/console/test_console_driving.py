@@ -94,9 +94,11 @@ def test_drive_is_begun_driven_recorded_and_ended_by_the_page(
     page.held = None
     eventually(lambda: not robot.wheels.driven)
     page.say(do="end", found=True, box=(0.4, 0.5, 0.6, 0.9))
-    eventually(lambda: page.robot(outcome="found", episode=None))
+    eventually(lambda: page.robot(outcome="found", result="found", episode=None))
     (recording,) = eventually(lambda: page.state.get("library", {}).get("recordings"))
     assert (recording["outcome"], recording["goal"], recording["useless"]) == ("found", "dock", "")
+    assert page.robot(seconds=recording["seconds"]), "by the robot's clock, as in the report"
+    assert page.news().endswith(f"Drive to dock: found after {recording['frames']} frames")
     assert recording["name"].startswith("drives/to-the-dock-")
     (recorded,) = read_recording(tmp_path / recording["name"]).episodes
     assert recorded.box == (0.4, 0.5, 0.6, 0.9)

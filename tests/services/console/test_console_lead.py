@@ -24,10 +24,15 @@ IDLE = {"answers": True, "waiting": False, "emergency": False, "episode": None, 
         "outcome": None, "right": None, "purpose": None, "seconds": None}  # fmt: skip
 DRIVE = IDLE | {
     "episode": "e", "purpose": "drive", "driver": "teleop", "source": "teleop", "goal": "victim",
-    "reason": "command", "tick": 300, "seconds": 30.0,
+    "reason": "command", "tick": 300, "seconds": 30.0, "rate_hz": 10.0,
 }  # fmt: skip
 RUN = DRIVE | {"purpose": "run", "driver": "policy", "source": "policy"}
-FOUND = RUN | {"episode": None, "outcome": "found", "seconds": 41.0}
+FOUND = RUN | {"episode": None, "outcome": "found", "result": "found", "seconds": 41.0}
+NOT_HERE = FOUND | {
+    "outcome": "not_here",
+    "right": True,
+    "result": "it reported “not here”, rightly",
+}
 LEARNS = {"kind": "model", "name": "w", "doing": "Learning w", "stage": "matching", "share": 0.4,
           "left_s": 20.0}  # fmt: skip
 FAILED = LEARNS | {"outcome": "failed", "why": "no goal in view"}
@@ -66,7 +71,7 @@ STATES: dict[str, tuple[dict[str, Any], tuple[str, str, str, str]]] = {
         ("run", "good", "Found: 0.4 m, 41 s", "run"),
     ),
     "the operator is lost after the end": (
-        {"robot": FOUND | {"outcome": "not_here", "right": True, "cause": "operator_lost"}, **LEARNED},
+        {"robot": NOT_HERE | {"cause": "operator_lost"}, **LEARNED},
         ("run", "good", "It reported “not here”, rightly: 41 s", "run"),
     ),
     "the robot is dead": (
@@ -74,15 +79,15 @@ STATES: dict[str, tuple[dict[str, Any], tuple[str, str, str, str]]] = {
         ("run", "old", "The robot does not answer for 12 s", "run"),
     ),
     "the computer is slow": (
-        {"robot": RUN | {"tick": 120}, **LEARNED},
+        {"robot": RUN | {"rate_hz": 4.0}, **LEARNED},
         ("run", "warn", SLOW, "quit"),
     ),
     "an obstacle stops a slow run": (
-        {"robot": RUN | {"tick": 120, "reason": "obstacle"}, "sits": True},
+        {"robot": RUN | {"rate_hz": 4.0, "reason": "obstacle"}, "sits": True},
         ("run", "warn", "An obstacle slows down or stops the robot; hold a key to correct it", "quit"),
     ),
     "a person has taken over a slow run": (
-        {"robot": RUN | {"tick": 120, "source": "teleop", "reason": "taken_over"}},
+        {"robot": RUN | {"rate_hz": 4.0, "source": "teleop", "reason": "taken_over"}},
         ("run", "warn", "You drive: press “Resume”, and the robot goes on by itself", "resume"),
     ),
     "a stop is latched": (
@@ -117,14 +122,32 @@ def page(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     server.close()
 
 
-@pytest.mark.parametrize("name", STATES)
-def test_header_leads_when(page: Page, name: str) -> None:
-    state, wanted = STATES[name]
+def led_by(page: Page, state: dict[str, Any]) -> dict[str, Any]:
+    """Return the header of a state."""
     common = {
         "robot": None, "job": None, "chosen": None, "link": "", "age": 0.1, "ill": "", "unattended": True,
         "frames_hz": 10, "sits": False, "taken": False, "distance": None, "drives": 0, "models": 0,
         "untaught": False, "unlisted": False,
     }  # fmt: skip
     asked = json.dumps(common | state)
-    led = run_in(page, f"import('./lead.js').then(({{lead}}) => lead({asked}))")
+    led: dict[str, Any] = run_in(page, f"import('./lead.js').then(({{lead}}) => lead({asked}))")
+    return led
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_header_leads_when(page: Page, name: str) -> None:
+    state, wanted = STATES[name]
+    led = led_by(page, state)
     assert (led["step"], led["level"], led["text"], led["does"][0]) == wanted
+
+
+def test_header_names_the_arrow_pad_when_a_finger_drives(browser: Browser, page: Page) -> None:
+    with browser.new_context(has_touch=True, is_mobile=True) as phone:
+        touched = phone.new_page()
+        touched.goto(page.url)
+        waits = {"robot": DRIVE | {"reason": "silence"}}
+        texts = [led_by(touched, state)["text"] for state, _ in [*STATES.values(), (waits, None)]]
+        assert not touched.locator("#stop kbd").is_visible()
+    assert texts[-1] == "Take control, then hold the arrow pad to drive"
+    assert "The robot has no route from here; hold the arrow pad to correct it" in texts
+    assert [text for text in texts if " key" in text] == []

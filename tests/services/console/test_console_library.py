@@ -68,7 +68,7 @@ def test_report_of_a_drive_is_one_file(library: Library, nobody: Nobody, page: P
     nobody.library = library
     status, report = page.get("/report?of=drives/drive-1.mcap")
     assert status == 200
-    for text in ("Drive to victim", "<dd>found</dd>", "<dd>1 s</dd>", "drive-1", "<polyline"):
+    for text in ("Drive to victim", "<dd>found</dd>", "<dd>1.1 s</dd>", "drive-1", "<polyline"):
         assert text in report.decode()
     (recording,) = library.recordings()
     assert f"<dd>{recording.metres:.1f} m</dd>" in report.decode()
@@ -141,7 +141,8 @@ def test_library_shows_known_files_while_it_reads(
 
 
 @pytest.mark.parametrize(
-    ("outcome", "why"), [("collision", "collision"), ("aborted", "victim not reached")]
+    ("outcome", "why"),
+    [("collision", "collision"), ("aborted", "victim not reached (ended before the goal)")],
 )
 def test_library_names_why_a_recording_is_useless(tmp_path: Path, outcome: Any, why: str) -> None:
     record(tmp_path / "drives", list(recorded_messages.episode("drive-1", outcome=outcome)))
@@ -153,7 +154,9 @@ def test_library_names_why_a_recording_is_useless(tmp_path: Path, outcome: Any, 
     assert {one.name: one.useless for one in library.recordings()}[
         "drives/broken.mcap"
     ] == "not an MCAP file"
-    assert why in {one.name: one.useless for one in library.recordings()}["drives/drive-1.mcap"]
+    recording = library.recording("drives/drive-1.mcap")
+    assert recording.useless == why
+    assert f"<dd>{recording.shown()['result']}</dd>" in report_page(recording)
     assert [one.useless for one in library.models()] == ["not a SMAL model"]
 
 

@@ -157,7 +157,7 @@ def test_a_model_learns_more_from_the_runs_of_today(
 def recording(name: str) -> dict[str, object]:
     facts = {
         "when_s": 1.0, "size": 1, "purpose": "drive", "goal": "victim", "world": "yard",
-        "outcome": "found",
+        "outcome": "found", "result": "found",
     }  # fmt: skip
     shown = {"frames": 9, "seconds": 1.0, "useless": "", "thumbnails": 0}
     return {"name": f"drives/{name}.mcap", "episode": name, **facts, **shown}
@@ -559,9 +559,20 @@ def run_and_find(page: Page, board: Board, moments: int = 8) -> None:
         grey = 35 + 220 * k // (moments - 1)  # An empty canvas is black.
         board.show(encode_jpeg(np.full((48, 64, 3), grey, np.uint8)))
         eventually(lambda grey=grey: abs(run_in(page, GREY.format("#camera")) - grey) < 4)
-    ended = {"episode": None, "outcome": "found", "right": None, "seconds": moments / 2}
+    ended = {"episode": None, "outcome": "found", "result": "found", "seconds": moments / 2}
     board.put("robot", RUN | ended | {"at": board.clock()})
     page.wait_for_selector("#finish:visible")
+
+
+COVERED = """(() => {
+    const news = document.querySelector("#latest").getBoundingClientRect();
+    return [...document.querySelectorAll("a, button, select, input, summary")]
+        .filter((one) => one.checkVisibility())
+        .map((one) => [one.outerHTML.slice(0, 80), one.getBoundingClientRect()])
+        .filter(([, { left, right, top, bottom }]) =>
+            left < news.right && right > news.left && top < news.bottom && bottom > news.top)
+        .map(([html]) => html);
+})()"""
 
 
 def test_finish_shows_the_run_when_it_has_ended(page: Page, board: Board) -> None:
@@ -584,6 +595,14 @@ def test_finish_shows_the_run_when_it_has_ended(page: Page, board: Board) -> Non
     )
     page.wait_for_selector("#report:visible")
     assert page.get_attribute("#report", "href") == "report?of=drives%2Fa.mcap"
+    for number, size in enumerate([(1024, 768), (1920, 1080), (800, 600)], 1):
+        page.set_viewport_size({"width": size[0], "height": size[1]})
+        text = f"{number}: victim-2026-11-29T10-00: cannot be read: not an MCAP file, or damaged"
+        board.put("news", [{"number": number, "at": board.clock(), "text": text}])
+        page.wait_for_selector(f"#latest:has-text('{number}: victim')")
+        for end in (0, "document.body.scrollHeight"):
+            run_in(page, f"scrollTo(0, {end})")
+            assert run_in(page, COVERED) == []
     page.set_viewport_size({"width": 390, "height": 844})
     assert run_in(page, "document.documentElement.scrollWidth") == 390
     assert run_in(page, SMALL) == []
@@ -620,7 +639,10 @@ def test_finish_is_there_again_after_a_reload(
         f"report?of=drives%2F{name}.mcap" for name in ("run-before", "run-1")
     }
     # A drive since then: the card waits until it is asked for.
-    board.put("robot", DRIVE | {"episode": None, "outcome": "found", "at": board.clock()})
+    board.put(
+        "robot",
+        DRIVE | {"episode": None, "outcome": "found", "result": "found", "at": board.clock()},
+    )
     board.put("driven", {"episode": "drive-1", "metres": 3.0})
     board.put("goal", {"episode": "drive-1", "at": None, "boxes": []})
     page.reload()
@@ -640,7 +662,7 @@ LONG_RUN = """new Promise((done) => document.querySelector("#camera canvas").toB
 
 def test_time_line_covers_a_long_run_in_300_pictures(page: Page, board: Board) -> None:
     run_in(page, LONG_RUN)
-    ended = {"episode": None, "outcome": "timeout", "right": None, "seconds": 2000.0}
+    ended = {"episode": None, "outcome": "timeout", "result": "out of time", "seconds": 2000.0}
     board.put("robot", RUN | ended | {"at": board.clock()})
     page.wait_for_selector("#finish:visible")
     assert 150 <= int(page.get_attribute("#finish input", "max")) <= 300

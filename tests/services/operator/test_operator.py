@@ -87,9 +87,12 @@ def test_driver_begins_anew_when_the_operator_takes_over(
     assert node.spin(asked(operator, RUN, lambda: operator.mine not in (None, first)), 100.0), said
     assert not robot.gate.taken_over
     assert robot.gate.stop_cause is None
-    assert len([line for line in said if line.startswith("Run to victim: aborted after")]) == 1, (
-        "the first one"
-    )
+    assert (
+        len(
+            [line for line in said if line.startswith("Run to victim: ended before the goal after")]
+        )
+        == 1
+    ), "the first one"
 
 
 def test_stop_is_repeated_when_the_robot_is_silent(settings: ServiceSettings, client: Bus) -> None:

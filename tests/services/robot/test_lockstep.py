@@ -149,5 +149,6 @@ def test_episode_ends_when_its_next_frame_fails() -> None:
     with pytest.raises(RuntimeError, match="no picture"):
         sent.extend(runner.poll())
     assert events(sent) == [("ended", "aborted")]
+    assert runner.fault == "internal error; see the log of robot"
     assert runner.running is None
     assert not list(runner.poll())

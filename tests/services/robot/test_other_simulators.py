@@ -177,7 +177,12 @@ def test_body_rejects_an_invalid_view(
 @contextmanager
 def stack(folder: Path) -> Iterator[str]:
     """Run `smal up` with the example in a folder; yield its address."""
-    example(folder)
+    fails = "if Path('fails').exists(): raise OSError('out of paint')"
+    path = example(folder)
+    path.write_text(
+        "from pathlib import Path\n"
+        + re.sub(r"(def advance.*\n)", rf"\1        {fails}\n", path.read_text())
+    )
     endpoint = free_endpoint()
     command = [
         "-c",
@@ -220,6 +225,11 @@ def test_stack_drives_and_records_the_example(tmp_path: Path) -> None:
         assert refused.returncode == 1
         found = run_smal("run", *model, "--json", tmp_path / "runs.json")
         assert found.returncode == 0, found.stderr
+        (tmp_path / "fails").touch()
+        failed = run_smal("demonstrate", "--connect", endpoint, "--out", tmp_path / "failed")
+        assert failed.returncode == 1
+        line = failed.stderr.splitlines()[-1]
+        assert "painted-room: advance failed: OSError: out of paint (painted_room.py, line" in line
     (run,) = json.loads((tmp_path / "runs.json").read_text())["episodes"]
     assert run["outcome"] == "found"
 

@@ -93,6 +93,9 @@ def test_scan_in_another_unit_becomes_metres(tmp_path: Path, unit: str, unit_m: 
     place = imported.world.place
     assert isinstance(place, ScannedPlace)
     assert same_floor(place) > 0.9
+    given = f"--scale 1: too large, .* x .* m, a storey of .*; give --scale {unit_m:g} \\({unit}\\)"
+    with pytest.raises(WorldError, match=given):
+        import_scan(tmp_path / f"{unit}.glb", ScanWishes(TASK, scale=1.0))
 
 
 def test_scan_without_a_ceiling_in_millimetres_is_detected(tmp_path: Path) -> None:
@@ -101,6 +104,9 @@ def test_scan_without_a_ceiling_in_millimetres_is_detected(tmp_path: Path) -> No
         if mesh.bounds[0, 2] > 2.7:
             scene.delete_geometry(name)
     scene.export(tmp_path / "open.glb")
+    given = r"too large, 8\d\d\d x 6\d\d\d m \(maximum 300 m\); give --scale 0.001 \(mm\)"
+    with pytest.raises(WorldError, match=given):
+        import_scan(tmp_path / "open.glb", ScanWishes(TASK, scale=1.0))
     imported = import_scan(tmp_path / "open.glb", ScanWishes(TASK))
     assert summary(imported, "unit").startswith("0.001 m")
     assert summary(imported, "place").startswith("outdoors")
@@ -112,6 +118,9 @@ def test_scan_as_obj_with_z_up_is_detected(tmp_path: Path) -> None:
     imported = import_scan(tmp_path / "lab.obj", ScanWishes(TASK))
     assert summary(imported, "up axis").startswith("z ")
     assert share(imported, "untextured") == 0.0
+    assert "warning" not in dict(imported.summary)
+    wrong = import_scan(tmp_path / "lab.obj", ScanWishes(up="y"))
+    assert summary(wrong, "warning").endswith("along z; if the floor is wrong, give --up z")
     place = imported.world.place
     assert isinstance(place, ScannedPlace)
     assert same_floor(place) > 0.9

@@ -40,7 +40,7 @@ def test_report_names_date_command_and_versions(page: str) -> None:
 def test_report_names_model_world_and_distance(page: str) -> None:
     assert "way.smal, checksum " in page
     assert "SMAL: yard, 1 run" in page
-    assert "<td>timeout</td><td>7</td><td>3.0</td><td>20</td>" in page
+    assert "<td>out of time</td><td>7</td><td>3.0</td><td>21</td>" in page
 
 
 def test_report_plays_the_pictures_of_a_run(page: str) -> None:

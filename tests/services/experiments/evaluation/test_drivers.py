@@ -58,6 +58,19 @@ def test_example_of_the_protocol_repeats_a_drive(folder: Path) -> None:
     assert code_of("protocol_example:ByWheels") != code_of("smal") == ""
 
 
+def test_digest_of_a_driver_changes_with_its_helpers(folder: Path) -> None:
+    (folder / "helpers").mkdir()
+    (folder / "helped_driver.py").write_text("import math\nfrom helpers.near import Mine\n")
+    (folder / "helpers" / "near.py").write_text("from .far import X\nclass Mine: ...\n")
+    (folder / "helpers" / "far.py").write_text("X = 1\n")
+    (folder / "unrelated.py").write_text("")
+    before = code_of("helped_driver:Mine")
+    (folder / "unrelated.py").write_text("Y = 1\n")
+    assert code_of("helped_driver:Mine") == before
+    (folder / "helpers" / "far.py").write_text("X = 2\n")
+    assert code_of("helped_driver:Mine") != before
+
+
 def test_protocol_fits_a_page_and_names_every_cell() -> None:
     assert len([word for word in PROTOCOL.split() if word.strip("|-")]) <= 800
     assert re.findall(r"^\| `([a-z-]+)` \|", PROTOCOL, re.MULTILINE)[-len(CELLS) :] == [*CELLS]
