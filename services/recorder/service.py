@@ -328,11 +328,12 @@ class RecorderService:
         self._files.append(path)
         # A new object, because `detail` can be summing up the old one.
         self._sealed = self._sealed + _figures(writer)
-        gaps = "; ".join(
-            f"{topic} lacks {count} frames" for topic, count in writer.ledger.missing.items()
+        gaps = "".join(
+            f"; missing frames of {topic}: {count}"
+            for topic, count in writer.ledger.missing.items()
         )
         self._node.log.info(
-            "%s: %d messages, %.1f MB %s", path, writer.messages, writer.size / 1e6, gaps
+            "%s: %d messages, %.1f MB%s", path, writer.messages, writer.size / 1e6, gaps
         )
 
     def _complain(self, problem: str) -> None:
