@@ -76,8 +76,8 @@ REPEAT_S: Final = TICK_S
 class Report:
     """Last known state of the robot and its episode."""
 
-    # Time of the robot's last report, by the operator's clock.
-    at: float = 0.0
+    # Time of the robot's last report, by the operator's clock; None before the first.
+    at: float | None = None
     answers: bool = False
     waiting: bool = False  # An episode was requested and has not begun yet.
     # An emergency stop was requested here, and the robot was not armed since.

@@ -212,7 +212,7 @@ def status_line(robot: Report, held: Velocity | None, now_s: float) -> str:
 
 
 def _robot(robot: Report, now_s: float) -> list[str]:
-    if robot.episode is None:
+    if robot.episode is None or robot.at is None:
         return [f"robot: {_CAUSES[robot.cause] if robot.answers else '-'}"]
     if now_s - robot.at > SILENCE_S:
         return [f"NO REPORT OF THE ROBOT for {now_s - robot.at:.0f} s"]

@@ -22,8 +22,8 @@ export class Watch {
 
   /** Age of a channel in seconds; null before its first update. */
   age(channel) {
-    const at = this.state[channel]?.at;
-    return at === undefined ? null : this.since(at);
+    const at = this.state[channel]?.at ?? null;
+    return at === null ? null : this.since(at);
   }
 
   /** Seconds since the last update, which normally arrives every two seconds. */

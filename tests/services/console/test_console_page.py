@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ from services.console.live_content import LiveContent
 from services.console.newest_content import Board
 from services.console.server import WebServer
 from services.kit.jpeg import encode_jpeg
+from services.operator.operator import Report
 from services.robot.body import OdometryReading
 from services.robot.messages import odometry_message
 from services.simulator.sensors.camera import depth_message
@@ -343,6 +345,8 @@ def test_belief_is_hidden_while_a_person_teaches(page: Page, board: Board) -> No
 
 
 def test_dead_robot_is_grey(page: Page, board: Board) -> None:
+    board.put("robot", asdict(Report()))
+    page.wait_for_selector(".pill.old #status:text-is('The robot does not answer')")
     board.put("robot", DRIVE | {"episode": None, "answers": False, "at": board.clock() - 12.0})
     page.wait_for_selector(".pill.old:has-text('The robot does not answer for 1')")
     assert page.get_attribute("#camera", "class") == "old"
