@@ -34,7 +34,6 @@ const draws = {
     drawWorlds(told("robot"));
     inWorld(told("robot").world ?? null);
     const { disk } = told("recorder");
-    $("#carry-hint").classList.toggle("absent", !told("robot").worlds);
     say($("#disk"), disk ? `Recording: ${disk}` : "");
     $("#disk").hidden = !disk;
   },
@@ -44,9 +43,11 @@ function onNews(channels) {
   if (channels.length > 0 || !watch.connected) document.body.classList.add("told");
   for (const channel of channels) draws[channel]?.(watch.state[channel]);
   drawLead();
+  const carries = Boolean(told("robot").worlds) && !teaching(watch.state.robot);
+  $("#carry-hint").classList.toggle("absent", !carries);
   if (channels.some((one) => ["belief", "plan", "model"].includes(one))) drawBelief(watch.state, watch.age("belief"));
   if (channels.some((one) => ["pose", "way", "model", "belief", "tracked", "goal", "ground", "stands"].includes(one))) {
-    drawMap(watch.state, (channel) => watch.age(channel), Boolean(told("robot").worlds) && !teaching(watch.state.robot));
+    drawMap(watch.state, (channel) => watch.age(channel), carries);
   }
 }
 
