@@ -1,6 +1,6 @@
 // The header: the step, one sentence, and the next actions, all derived from one state.
 
-import { CAUSES, HELD_UP, MISSED, PLANS, REASONS, capital, control, jobFacts, jobText, seconds, tooSlow } from "./words.js";
+import { CAUSES, HELD_UP, LEFT, MISSED, PLANS, REASONS, capital, control, jobFacts, jobText, seconds, tooSlow } from "./words.js";
 
 const SILENT_S = 2, SETTLED_S = 5, SLOW = 0.8;
 /** Action that begins each step. */
@@ -17,14 +17,16 @@ const running = (robot) => Boolean(robot?.episode || robot?.waiting);
 const learning = (job) => job?.kind === "model" && !job.outcome;
 
 /** Trouble of the link or the robot, as [level, text]; it precedes everything else. */
-function trouble({ link, robot, age, ill, unattended }) {
+function trouble({ link, robot, age, ill, unattended, sits, taken }) {
   if (link) return ["bad", link];
   if (robot?.waiting) return null;
   const silent = age === null ? "" : ` for ${seconds(age)}`;
   if (!robot?.answers) return ["old", `The robot does not answer${silent}${ill ? `: ${ill}` : ""}`];
   if (robot.emergency) return ["bad", CAUSES.emergency_stop];
   if (robot.episode && age > SILENT_S) return ["old", `No sign of the robot${silent}`];
-  if (unattended && robot.cause === "operator_lost") return robot.episode ? ["warn", MISSED] : null;
+  if (unattended && robot.cause === "operator_lost") {
+    return robot.episode ? ["warn", sits || taken ? MISSED : LEFT] : null;
+  }
   // A drive or a run arms the robot, so between episodes these stops are no trouble.
   const releases = !robot.episode && ["not_armed", "operator_lost"].includes(robot.cause);
   return robot.cause && !releases ? ["bad", CAUSES[robot.cause]] : null;
@@ -50,7 +52,7 @@ function result({ robot, distance }) {
   if (!robot?.outcome) return "";
   const taught = robot.purpose === "drive" && robot.outcome === "found";
   const what = taught ? "you reached the goal" : robot.result;
-  const metres = distance === null ? [] : [`${distance.toFixed(1)} m`];
+  const metres = taught || distance === null ? [] : [`${distance.toFixed(1)} m from the goal`];
   const numbers = [...metres, ...(robot.seconds === null ? [] : [seconds(robot.seconds)])].join(", ");
   return capital(what) + (numbers && `: ${numbers}`);
 }

@@ -25,6 +25,7 @@ export const CAUSES = {
   fault: "The robot stands: its body has failed. Look at it, then press “Resume”",
 };
 export const MISSED = "It stands: this computer was busy. Drive on, or press “Resume”";
+export const LEFT = "The robot stands: its driver has left. Press “Resume” to continue";
 /** Why the robot does not follow its driver, with the level of the sentence. */
 export const REASONS = {
   taken_over: ["warn", "You drive: press “Resume”, and the robot goes on by itself"],

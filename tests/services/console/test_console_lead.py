@@ -68,7 +68,7 @@ STATES: dict[str, tuple[dict[str, Any], tuple[str, str, str, str]]] = {
     ),
     "it has found": (
         {"robot": FOUND, "distance": 0.41, **LEARNED},
-        ("run", "good", "Found: 0.4 m, 41 s", "run"),
+        ("run", "good", "Found: 0.4 m from the goal, 41 s", "run"),
     ),
     "the operator is lost after the end": (
         {"robot": NOT_HERE | {"cause": "operator_lost"}, **LEARNED},
@@ -77,6 +77,19 @@ STATES: dict[str, tuple[dict[str, Any], tuple[str, str, str, str]]] = {
     "the robot is dead": (
         {"robot": FOUND | {"answers": False}, "age": 12.0, **LEARNED},
         ("run", "old", "The robot does not answer for 12 s", "run"),
+    ),
+    "the computer was busy": (
+        {"robot": RUN | {"cause": "operator_lost"}, "sits": True},
+        ("run", "warn", "It stands: this computer was busy. Drive on, or press “Resume”", "resume"),
+    ),
+    "the driver has left": (
+        {"robot": RUN | {"cause": "operator_lost"}},
+        (
+            "run",
+            "warn",
+            "The robot stands: its driver has left. Press “Resume” to continue",
+            "resume",
+        ),
     ),
     "the computer is slow": (
         {"robot": RUN | {"rate_hz": 4.0}, **LEARNED},

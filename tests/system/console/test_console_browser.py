@@ -63,7 +63,7 @@ def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
     )
     eventually(lambda: page.locator("#belief img").get_attribute("src"))
     eventually(lambda: not was_lost(page, site) and data(page, "episode") == "", timeout_s=120.0)
-    assert re.fullmatch(r"Found: \d\.\d m, [\d.]+ (s|min)", told(page))
+    assert re.fullmatch(r"Found: \d\.\d m from the goal, [\d.]+ (s|min)", told(page))
     assert run_in(page, "document.querySelector('#belief img').naturalWidth") == 160
     facts = r"[\d.]+ m driven in [\d.]+ (s|min), \d\.\d m from the goal"
     assert re.fullmatch(facts, page.inner_text("#finish .facts"))
