@@ -204,7 +204,9 @@ class Operator:
         else:
             if event.event == "kidnapped":
                 self._note(kidnapped=self.report.kidnapped + 1)
-            self._say(f"{named}, frame {event.tick}: {event.event.replace('_', ' ')}")
+            near = event.event == "victim_found"  # Ground truth: the robot has reported nothing yet.
+            happened = "the victim is near and in view" if near else event.event.replace("_", " ")
+            self._say(f"{named}, frame {event.tick}: {happened}")
 
     def _on_pulse(self, pulse: Pulse) -> None:
         """Answer the robot's pulse if the person is present."""
@@ -480,7 +482,7 @@ class Operator:
         if not self._may_ask():
             return None
         if stop is None:
-            self._say("the robot has not reported its stop yet; press again")
+            self._say("the robot has not answered yet; press again")
             return None
         self.commands.arming()
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from schemas.base import KEYS
+from schemas.episode import Episode
 from schemas.rpc import ResetRequest
 from schemas.topics import COMMANDS
 from services.kit.bus import Bus
@@ -70,13 +71,23 @@ def asked(
 
 @pytest.mark.parametrize("stopped", [False, True], ids=["taken over", "taken over and stopped"])
 def test_driver_begins_anew_when_the_operator_takes_over(
-    node: Node, robot: Robot, operator: Operator, said: list[str], stopped: bool
+    node: Node,
+    client: Bus,
+    robot: Robot,
+    operator: Operator,
+    said: list[str],
+    stopped: bool,
 ) -> None:
     begun = asked(
         operator, RUN, lambda: operator.mine is not None and operator.commands.applied is not None
     )
     assert node.spin(begun, 100.0), said
     first = operator.mine
+    seen = {"event": "victim_found", "purpose": "run", "driver": "policy", "world": "w", "seed": 1}
+    client.publish(Episode.after(operator.commands.heard, **seen))
+    assert node.spin(
+        lambda: any(line.endswith(": the victim is near and in view") for line in said), 100.0
+    ), said
     operator.hold(KEYS["forward"], math.inf)
     assert node.spin(lambda: robot.gate.taken_over and robot.wheels.driven, 100.0)
     operator.hold(None)
