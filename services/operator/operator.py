@@ -204,7 +204,9 @@ class Operator:
         else:
             if event.event == "kidnapped":
                 self._note(kidnapped=self.report.kidnapped + 1)
-            near = event.event == "victim_found"  # Ground truth: the robot has reported nothing yet.
+            near = (
+                event.event == "victim_found"
+            )  # Ground truth: the robot has reported nothing yet.
             happened = "the victim is near and in view" if near else event.event.replace("_", " ")
             self._say(f"{named}, frame {event.tick}: {happened}")
 
