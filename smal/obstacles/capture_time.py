@@ -71,8 +71,8 @@ class CaptureTime:
         self._last: Float32s | None = None
         #: Time and pose of the last image.
         self._taken = -math.inf, np.zeros(3)
-        #: Time and pose of its first delivery to a moving robot.
-        self._delivered = self._taken
+        #: Pose at its first delivery.
+        self._delivered = np.zeros(3)
         #: Number of deliveries since.
         self._repeats = 0
 
@@ -90,18 +90,16 @@ class CaptureTime:
             Seconds, and the odometry pose at that time.
         """
         at_s, pose = self._track[0]
-        if self._last is None or not np.array_equal(depth_m, self._last, equal_nan=True):
-            self._last = depth_m.copy()
-            self._delivered = at_s, pose
-            self._resume()
-            self._take(depth_m, at_s)
-        elif _apart(pose, self._delivered[1]):
+        repeated = self._last is not None and np.array_equal(depth_m, self._last, equal_nan=True)
+        if repeated and _apart(pose, self._delivered):
             self._repeats += 1
         else:
             # For a robot that stands, a repeated image is as good as a new one.
-            age_s = self._delivered[0] - self._taken[0]
-            self._taken = at_s - age_s, self._taken[1]
-            self._delivered = at_s, self._delivered[1]
+            if not repeated:
+                self._last = depth_m.copy()
+                self._delivered = pose
+            self._resume()
+            self._take(depth_m, at_s)
         taken_s, taken_pose = self._taken
         return taken_s, tuple(taken_pose)
 
