@@ -5,6 +5,8 @@ import { jobFacts, jobText, recordingFacts, reportOf } from "./words.js";
 import { chosenWorld, madeWorld, showNews, worldOf } from "./world.js";
 
 const REALLY_MS = 3000;
+const NOTHING = "No recordings yet. Teach the robot first.";
+const ELSEWHERE = "The recorder's folder is outside the console's root; start the stack with --root.";
 const list = $("#recordings"), learn = $("#learn-form"), run = $("#run-form"), job = $("#job"), models = $("#models ul");
 const chosen = new Map();
 let library = { recordings: [], models: [] }, world = null, driving = null;
@@ -79,6 +81,7 @@ export function known(robot) {
   if (robot?.episode && robot.purpose === "drive") driving = robot.episode;
   const unlisted = driving !== null && !library.recordings.some(({ episode, outcome }) => episode === driving && outcome);
   if (!unlisted) driving = null;  // deleted later, it is no longer awaited
+  say($("#recordings-empty"), library.folder === null ? ELSEWHERE : unlisted ? "Storing the drive …" : NOTHING);
   const here = worldOf(world), drives = library.recordings.filter((one) => teaches(one, here));
   const usable = library.models.filter((one) => !one.useless && taughtHere(one));
   const newest = Math.max(0, ...usable.map(({ when_s = 0 }) => when_s));
@@ -100,10 +103,7 @@ export function inWorld(now) {
 export function drawLibrary(now) {
   library = now;
   drawRecordings(now.recordings);
-  const empty = $("#recordings-empty");
-  empty.hidden = now.recordings.length > 0;
-  const elsewhere = "The recorder's folder is outside the console's root; start the stack with --root.";
-  if (now.folder === null) say(empty, elsewhere);
+  $("#recordings-empty").hidden = now.recordings.length > 0;
   const names = new Set(now.models.map(({ name }) => short(name))), name = learn.elements.name;
   if (!name.value || (names.has(name.value) && document.activeElement !== name)) {
     let number = 1;

@@ -334,6 +334,9 @@ def test_found_asks_when_the_robot_has_not_moved(page: Page, nobody: Nobody, boa
     assert nobody.asked == []
     page.click("#next")
     eventually(lambda: [ask.do for ask in nobody.asked] == ["end"])
+    ended = {"episode": None, "outcome": "found", "result": "found", "cause": None}
+    board.put("robot", DRIVE | ended | {"at": board.clock()})
+    page.wait_for_selector("#recordings-empty:text-is('Storing the drive …')")
 
 
 def test_belief_is_hidden_while_a_person_teaches(page: Page, board: Board) -> None:
