@@ -43,7 +43,8 @@ class Decision:
     kind
         "follow": drive along the taught way. "look_around": turn to find the place, because
         directions disagree, no view supports the place, the robot is at the end of the way, or
-        obstacles stop it. "guess": drive in the mean direction, because looking around has not helped.
+        obstacles stop it. "guess": drive in the most probable direction, because looking around has
+        not helped.
         "dead_end": stand, because no taught way leads on to the goal. "blocked": wait before an
         obstacle, turn to keep it in view, or back off; also back off after an obstacle stopped it.
         "search": at the end of the way, turn to find the target, or approach it. "goal": stand
