@@ -224,16 +224,16 @@ def test_the_likelihood_does_not_jump_between_the_virtual_views(
 @pytest.mark.parametrize("odometry", [True, False])
 def test_heading_stays_near_the_way_when_no_wheels_report_it(odometry: bool) -> None:
     visual_map = replace(usual_map()[0], odometry=odometry)
-    keys = np.full(4000, 5)
+    keys = np.full(1000, 5)
     rng = np.random.default_rng(0)
     particles = Particles(visual_map, keys, visual_map.key_poses[keys])
     tick = Movement(visual_map.speed * visual_map.tick_s, 0.0)
-    for _ in range(2000):
+    for _ in range(500):
         particles.poses[:, :2] = visual_map.key_poses[keys][:, :2]
         particles.move(tick, BY_ATOMS, 1.0, rng)
     deviation_deg = math.degrees(particles.offsets()[:, 2].std())
     if odometry:
-        assert deviation_deg > 30.0
+        assert deviation_deg > 4.0 * FILTER_CONFIG.steers_deg
     else:
         assert deviation_deg == pytest.approx(FILTER_CONFIG.steers_deg, rel=0.1)
 
