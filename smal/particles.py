@@ -32,8 +32,6 @@ class FilterConfig:
     light: float = 0.02
     #: Scatter of the heading at every new view: cameras shake.
     jitter_deg: float = 1.0
-    #: Deviation of a driver's heading from the taught way, where no wheels report it.
-    steers_deg: float = 5.0
     #: Way without a view after which the odometry has half its confidence.
     blind: float = 2.0
     #: Probability from which scouts are drawn near a place after a jump.
@@ -119,11 +117,9 @@ class Particles:
         float
             Share of the weight that left the taught area. These particles keep only a trace of their weight.
         """
-        diffused = self._drive(movement, noise, newness, rng)
+        self._drive(movement, noise, newness, rng)
         self.tracked += abs(movement.ahead)
         self.keyframes = self._nearest_keyframes()
-        if movement.ahead > 0.0 and not self._map.odometry:
-            self._steer(diffused)
         apart = (self.poses - self._map.key_poses[self.keyframes])[:, :2]
         reach = self._map.config.elsewhere * self._map.correlation_length
         away = np.hypot(*apart.T) > reach
@@ -134,8 +130,8 @@ class Particles:
 
     def _drive(
         self, movement: Movement, noise: MotionNoise, newness: float, rng: np.random.Generator
-    ) -> float:
-        """Move the poses by a movement with noise; return the variance added to the heading, radians squared.
+    ) -> None:
+        """Move the poses by a movement with noise.
 
         Momentary errors are a diffusion: they grow with the square root of the way, independently of speed and frame
         rate. A wheel of wrong size, or a driver in haste, changes the pace for longer.
@@ -157,17 +153,6 @@ class Particles:
         x = ahead * np.cos(middle)
         y = ahead * np.sin(middle)
         self.poses += np.stack([x, y, turn], axis=1)
-        return math.radians(drift_deg) ** 2 + noise.turn**2 * abs(movement.turn_rad)
-
-    def _steer(self, diffused: float) -> None:
-        """Pull the headings to the taught ones, as the driver does.
-
-        The wheels of this robot do not tell its heading, but whoever drives follows the way. The pull balances the
-        diffusion (an Ornstein-Uhlenbeck process): without views, the heading deviates by `FilterConfig.steers_deg`.
-        """
-        kept = math.exp(-diffused / (2.0 * math.radians(self._config.steers_deg) ** 2))
-        turned = wrapped(self.poses[:, 2] - self._map.key_poses[self.keyframes, 2])
-        self.poses[:, 2] -= (1.0 - kept) * turned
 
     def _nearest_keyframes(self) -> Indices:
         """Return the keyframe nearest to each particle, among the neighbours of its last one, (p,)."""

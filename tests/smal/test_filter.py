@@ -15,7 +15,7 @@ from smal.files.packed import unit
 from smal.filter import Belief, Filter, SeenDirections
 from smal.map import VisualMap
 from smal.movement import BY_ATOMS, STILL, Movement, placed
-from smal.particles import FILTER_CONFIG, Particles
+from smal.particles import Particles
 from smal.planning.config import PLANNER_CONFIG
 from tests.smal.synthetic_world import (
     COLOR,
@@ -219,23 +219,6 @@ def test_the_likelihood_does_not_jump_between_the_virtual_views(
     found, beyond = particles.interpolated(components)
     assert found[0] == pytest.approx(found[1], abs=1e-4)
     assert beyond[0] == pytest.approx(beyond[1], abs=1e-4)
-
-
-@pytest.mark.parametrize("odometry", [True, False])
-def test_heading_stays_near_the_way_when_no_wheels_report_it(odometry: bool) -> None:
-    visual_map = replace(usual_map()[0], odometry=odometry)
-    keys = np.full(1000, 5)
-    rng = np.random.default_rng(0)
-    particles = Particles(visual_map, keys, visual_map.key_poses[keys])
-    tick = Movement(visual_map.speed * visual_map.tick_s, 0.0)
-    for _ in range(500):
-        particles.poses[:, :2] = visual_map.key_poses[keys][:, :2]
-        particles.move(tick, BY_ATOMS, 1.0, rng)
-    deviation_deg = math.degrees(particles.offsets()[:, 2].std())
-    if odometry:
-        assert deviation_deg > 4.0 * FILTER_CONFIG.steers_deg
-    else:
-        assert deviation_deg == pytest.approx(FILTER_CONFIG.steers_deg, rel=0.1)
 
 
 @pytest.mark.parametrize("moves", [True, False])
