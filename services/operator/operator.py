@@ -204,10 +204,10 @@ class Operator:
         else:
             if event.event == "kidnapped":
                 self._note(kidnapped=self.report.kidnapped + 1)
-            near = (
-                event.event == "victim_found"
-            )  # Ground truth: the robot has reported nothing yet.
-            happened = "the victim is near and in view" if near else event.event.replace("_", " ")
+            happened = event.event.replace("_", " ")
+            # Ground truth: the robot has reported nothing yet.
+            if event.event == "victim_found":
+                happened = "the victim is near and in view"
             self._say(f"{named}, frame {event.tick}: {happened}")
 
     def _on_pulse(self, pulse: Pulse) -> None:

@@ -45,9 +45,8 @@ class PolicyService:
         self.obstacles = ObstacleMemory()  # Obstacles around the robot, which the plan avoids.
         #: Recent delays of its commands until the robot moves, as reported by the actuator.
         self._delays_s: deque[float] = deque([0.0], maxlen=DELAYS_KEPT)
-        self._held_back = (
-            False  # Whether the actuator has stopped its last motion before an obstacle.
-        )
+        #: Whether the actuator has stopped its last motion before an obstacle.
+        self._held_back = False
 
     def load(self, loaded: LoadedModel) -> LoadReply:
         """Work with another model as soon as recognition does."""

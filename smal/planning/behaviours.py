@@ -18,7 +18,6 @@ from smal.map import VisualMap, in_common_axes
 from smal.movement import STANDS, Motion
 from smal.obstacles.avoidance import Turns, detour_turn
 from smal.obstacles.clearance import Surroundings
-from smal.planning.config import PlannerConfig
 from smal.planning.route import Route
 from smal.planning.steering import Chassis, Intent, Kind
 from smal.target.detector import TargetEstimate
@@ -83,10 +82,6 @@ class Situation:
         """Whether the camera provides views."""
         return self.belief.camera == "sees"
 
-    def drive(self, kind: Kind) -> Intent:
-        """Return the intent to drive to the particles' aims."""
-        return Intent(kind, None, self.heading_rad, self.directions, self.weights)
-
 
 class Mission:
     """The task of the robot: its route, and the announced result."""
@@ -125,9 +120,9 @@ class LookAround(Behaviour):
     """Turn to one side, then to the other, and once round to the start.
 
     It is due again when the robot has followed the way for a correlation length, or guessed for
-    `PlannerConfig.guess_s`. An earlier repetition can turn the robot to and fro for ever at an ambiguous place. It is
-    also due when no view supports the robot's place any more, and at the end of the way if the robot has looked around
-    at another place.
+    `PlannerConfig.guess_s` and the time to turn round. An earlier repetition can turn the robot to and fro for ever at
+    an ambiguous place. It is also due when no view supports the robot's place any more, and at the end of the way if
+    the robot has looked around at another place.
     """
 
     def __init__(self, taught: VisualMap, chassis: Chassis) -> None:
@@ -343,9 +338,9 @@ class Blind(Behaviour):
     the robot back.
     """
 
-    def __init__(self, look: LookAround, config: PlannerConfig) -> None:
+    def __init__(self, chassis: Chassis, look: LookAround) -> None:
         self._look = look
-        self._again_s = config.blind_again_s
+        self._again_s = chassis.config.blind_again_s
         self._stands_s = 0.0
 
     def note(self, now: Situation) -> None:
@@ -376,12 +371,14 @@ class BackOff(Behaviour):
         self._backs_s = 0.0
         self._driven = math.inf  # Way ahead since the robot last backed off.
         self._in_vain = False
-        #: Whether the robot begins to back off at this frame.
-        self.begins = False
+
+    @property
+    def begins(self) -> bool:
+        """Whether the robot begins to back off at this frame."""
+        return self._backs_s == self._chassis.config.stalls_s
 
     def note(self, now: Situation) -> None:
         """Count the time for which an obstacle stops the robot."""
-        self.begins = False
         self._backs_s = max(self._backs_s - now.elapsed_s, 0.0)
         if now.held is None or now.around is None:
             return
@@ -396,7 +393,6 @@ class BackOff(Behaviour):
         self._held_s = 0.0
         self._backs_s = self._chassis.config.stalls_s
         self._driven = 0.0
-        self.begins = True
 
     def propose(self, now: Situation) -> Intent | None:
         """Back off as far as the space behind is known to be free, then look around if due."""
@@ -419,7 +415,9 @@ class Follow(Behaviour):
         """Drive, unless the robot must look around first."""
         doubts = now.at_end or self._wait.in_vain or not now.supported
         goes = now.clear and not now.unseen and (self._look.done or not doubts)
-        return now.drive("follow") if goes else None
+        if not goes:
+            return None
+        return Intent("follow", None, now.heading_rad, now.directions, now.weights)
 
 
 class Guess(Behaviour):

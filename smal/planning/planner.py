@@ -97,7 +97,7 @@ class Planner:
         self._behaviours: tuple[Behaviour, ...] = (
             Done(self._mission),
             self._search,
-            Blind(look, self._config),
+            Blind(self._chassis, look),
             back_off,
             follow,
             look,
@@ -177,9 +177,9 @@ class Planner:
         commanded = self._chassis.speed * self._steering.motion[0] * elapsed_s
         if commanded <= 0.0:
             return None
-        if held_back or belief.moved is None:
-            return held_back or None
-        return belief.moved < 0.1 * commanded
+        if held_back:
+            return True
+        return None if belief.moved is None else belief.moved < 0.1 * commanded
 
     def _situation(
         self,

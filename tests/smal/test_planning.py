@@ -257,6 +257,8 @@ def test_unsure_robot_looks_around_then_guesses(lost: float) -> None:
     assert aside == pytest.approx(PLANNER_CONFIG.look_aside_deg / 4.5, abs=1)
     assert len(set(turns[:aside])) == len(set(turns[aside:])) == 1
     assert key(decisions[0]) in (Atom.LEFT, Atom.RIGHT)
+    if lost:
+        assert key(decisions[look + 2]) is Atom.FORWARD
 
 
 def steps(headings_deg: list[float], elapsed_s: float = TICK) -> list[Motion]:
