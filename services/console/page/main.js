@@ -207,7 +207,6 @@ for (const tab of tabs) {
   tab.onclick = () => {
     details = tab.dataset.panel === "more";
     if (!details) chosen = tab.dataset.panel;
-    if (chosen === "run") closeFinish();
     drawLead();
   };
 }

@@ -617,6 +617,10 @@ def test_finish_shows_the_run_when_it_has_ended(page: Page, board: Board) -> Non
     page.wait_for_selector("#run-form:visible")
     page.click("#last-run")
     page.wait_for_selector("#finish:visible")
+    page.click("#steps [data-panel=more]")
+    assert page.is_hidden("#finish")
+    page.click("#steps [data-panel=run]")
+    page.wait_for_selector("#finish:visible")
     assert page.get_attribute("#steps [data-panel=run]", "aria-pressed") == "true"
     board.put("robot", DRIVE | {"purpose": "run", "episode": "run-2", "at": board.clock()})
     page.wait_for_selector("#run-form:visible")

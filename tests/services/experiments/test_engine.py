@@ -71,6 +71,8 @@ def test_workers_match_threads_when_workers_are_killed(
         assert engine.client.scheduler_info()["address"].startswith("tls://")
         ((_, answer),) = engine.graph(["one"], len, lambda _: ())
         monkeypatch.setattr(engines, "_WORKER_S", 1.0)
+        # A killed worker that starts again after the others have ended would answer.
+        eventually(lambda: len(engine.client.nthreads()) == 2)
         engine.client.cluster.scale(0)
         eventually(lambda: not engine.client.nthreads())
         with pytest.raises(JobError, match=r"^all workers ended, and none started within 1 s$"):
