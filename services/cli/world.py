@@ -4,7 +4,7 @@ import math
 import re
 import time
 from collections.abc import Iterable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
@@ -20,7 +20,7 @@ from typer import Argument, Option
 from services.cli import options, outputs
 from services.cli.grouping import STYLE, grouped
 from services.experiments.html import png
-from services.experiments.progress import bar_of
+from services.experiments.progress import Bars, bar_of
 from services.experiments.words import counted, table
 from services.kit.errors import UsageError
 from services.kit.world_files import scan_format
@@ -141,7 +141,8 @@ def import_world(
             options.refuse(of_scans, "for a map; leave it out")
             request["wishes"] = asdict(Wishes(task, _surroundings(around, radius)))
             function = "services.cli.world:make"
-        rows = bounded(function, request, source, descriptors)
+        bars = files.enter_context(closing(Bars()))
+        rows = bounded(function, request, source, descriptors, lambda stage: bars(*stage))
     rows.append(("time", f"{time.perf_counter() - began_s:.1f} s"))
     for line in table(rows, left=1):
         typer.echo(line)
@@ -164,7 +165,7 @@ def make(request: dict[str, Any], _work: Work) -> list[tuple[str, str]]:
     return list(_summary(imported))
 
 
-def make_from_scan(request: dict[str, Any], _work: Work) -> list[tuple[str, str]]:
+def make_from_scan(request: dict[str, Any], work: Work) -> list[tuple[str, str]]:
     """Create a world file and a mesh file from a scan in a child process; see `make`."""
     from services.simulator.scanning.importing import ScanWishes, import_scan  # noqa: PLC0415 - trimesh is optional
     from services.simulator.scanning.mesh_file import write_parts  # noqa: PLC0415
@@ -172,7 +173,7 @@ def make_from_scan(request: dict[str, Any], _work: Work) -> list[tuple[str, str]
     source = Path(request["source"])
     wishes = TypeAdapter(ScanWishes).validate_python(request["wishes"])
     try:
-        imported = import_scan(source, wishes)
+        imported = import_scan(source, wishes, lambda *stage: work.tell(stage))
     except WorldError as error:
         raise ConfinedError(str(error)) from None
     Path(request["file"]).write_text(scan_text(imported.world, source.name))

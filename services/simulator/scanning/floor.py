@@ -6,7 +6,7 @@ higher or lower. Each connected group of such cells is a floor: a storey, or a t
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -106,16 +106,28 @@ class FoundFloor:
 
 
 def find_floor(
-    faces: Sequence[PartFaces], robot: RobotModel, height_m: float | None = None
+    faces: Sequence[PartFaces],
+    robot: RobotModel,
+    height_m: float | None = None,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> FoundFloor:
     """Find the largest connected floor for a robot, or the floor nearest to a height.
+
+    Parameters
+    ----------
+    faces : sequence of PartFaces
+    robot : RobotModel
+    height_m : float, optional
+        Height of the floor in the scan, metres.
+    progress : callable, optional
+        Called with the number of samples of the surfaces that are done, and of all.
 
     Raises
     ------
     WorldError
         No floor is large enough, or none is near the height.
     """
-    columns = _Columns(faces, robot)
+    columns = _Columns(faces, robot, progress)
     storeys = columns.storeys()
     if not storeys:
         raise WorldError(
@@ -192,14 +204,20 @@ class _Tally:
 class _Columns:
     """Occupied cells of a scan; the code of a cell counts through its column first."""
 
-    def __init__(self, faces: Sequence[PartFaces], robot: RobotModel) -> None:
+    def __init__(
+        self,
+        faces: Sequence[PartFaces],
+        robot: RobotModel,
+        progress: Callable[[int, int], None],
+    ) -> None:
         self._robot = robot
         self._cell_m = _CELL * robot.radius_m
         self._cell_height_m = robot.climb_m / _CLIMB
         self._top = math.ceil(robot.top_m / self._cell_height_m)
         size_m = np.array([self._cell_m, self._cell_m, self._cell_height_m])
-        self._low, high = self._bounds(faces)
-        self._low -= _MARGIN * size_m
+        self._middle = np.append(_middle(faces), 0.0)
+        low, high = self._bounds(faces)
+        self._low = low - _MARGIN * size_m
         # Room above the highest cell, so that a search for the robot's height stays in its column.
         above = self._top + _CLIMB + 2
         highest = ((high - self._low) / size_m).astype(np.int64)
@@ -208,7 +226,7 @@ class _Columns:
         self._heights = heights
         tally = _Tally()
         level: list[Cells] = []
-        for points, faces_up in self._samples(faces):
+        for points, faces_up in self._samples(faces, progress):
             cells = ((points - self._low) / size_m).astype(np.int64)
             codes = self._codes(cells[:, 0], cells[:, 1], cells[:, 2])
             tally.add(codes)
@@ -220,37 +238,40 @@ class _Columns:
     def _bounds(
         self, faces: Sequence[PartFaces]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the lowest and the highest coordinates of the samples, without outliers."""
-        self._middle = _middle(faces)
-        low = np.full(3, np.inf)
-        high = -low
-        for points, _ in self._samples(faces):
-            low = np.minimum(low, points.min(axis=0, initial=np.inf))
-            high = np.maximum(high, points.max(axis=0, initial=-np.inf))
-        return low, high
+        """Return the lowest and the highest coordinates (3,) of the surfaces, without outliers."""
+        lowest = np.concatenate([one.corners.min(axis=1) for one in faces])
+        highest = np.concatenate([one.corners.max(axis=1) for one in faces])
+        reach_m = np.append(np.full(2, _FARTHEST * self._cell_m), np.inf)
+        from_m, to_m = self._middle - reach_m, self._middle + reach_m
+        near = ((lowest < to_m) & (highest > from_m)).all(axis=1)
+        low, high = lowest[near].min(axis=0), highest[near].max(axis=0)
+        return np.maximum(low, from_m), np.minimum(high, to_m)
 
     def _samples(
-        self, faces: Sequence[PartFaces]
+        self, faces: Sequence[PartFaces], progress: Callable[[int, int], None]
     ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.bool_]]]:
-        """Yield random points (n, 3) of the surfaces, and whether they face up; without outliers.
-
-        Every call yields the same points.
-        """
+        """Yield random points (n, 3) of the surfaces, and whether they face up; without outliers."""
         rng = np.random.default_rng(0)
         density = _SAMPLES / (self._cell_m * min(self._cell_m, self._cell_height_m))
         density = min(density, _MOST_SAMPLES / sum(float(one.areas.sum()) for one in faces))
-        for one in faces:
-            ends = np.cumsum(rng.poisson(one.areas * density))
-            count = int(ends[-1]) if len(ends) else 0
+        counts = [rng.poisson(one.areas * density) for one in faces]
+        total = sum(int(one.sum()) for one in counts)
+        done = 0
+        for one, samples in zip(faces, counts, strict=True):
+            ends = np.cumsum(samples)
+            count = int(samples.sum())
             up = one.normals[:, 2]
             faces_up = (np.abs(up) if one.both else up) > _FACES_UP
             for start in range(0, count, _BLOCK):
+                progress(done + start, total)
                 number = np.arange(start, min(start + _BLOCK, count))
                 which = np.searchsorted(ends, number, side="right")
                 points = _points_in(one.corners[which], rng)
-                off = np.abs(points[:, :2] - self._middle).max(axis=1)
+                off = np.abs(points[:, :2] - self._middle[:2]).max(axis=1)
                 near = off < _FARTHEST * self._cell_m
                 yield points[near], faces_up[which[near]]
+            done += count
+        progress(total, total)
 
     def _codes(self, i: Cells, j: Cells, k: Cells) -> Cells:
         return np.asarray((i * self._plan[1] + j) * self._heights + k)

@@ -1,8 +1,9 @@
 """Import a scan as a world: read it, find its floor, and choose a start and a victim."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -47,11 +48,25 @@ class ImportedScan:
     summary: tuple[tuple[str, str], ...]
 
 
-def import_scan(source: Path, wishes: ScanWishes) -> ImportedScan:
-    """Import a scan; raises WorldError for an unusable file."""
+def import_scan(
+    source: Path,
+    wishes: ScanWishes,
+    progress: Callable[[str, int, int], None] = lambda _stage, _done, _total: None,
+) -> ImportedScan:
+    """Import a scan; raises WorldError for an unusable file.
+
+    Parameters
+    ----------
+    source : Path
+    wishes : ScanWishes
+    progress : callable, optional
+        Called with the name of a stage, the number of its parts that are done, and of all.
+    """
     with naming(source):
+        progress("reading the scan", 0, 1)
         scanned = read_scan(source, wishes.scale, wishes.up)
-        robot, found = _floor(scanned, wishes)
+        progress("reading the scan", 1, 1)
+        robot, found = _floor(scanned, wishes, progress)
         place = scan_of(robot, found.area, list(found.walls.geoms), sky=found.roofed < _ROOFED)
         task = wishes.task
         roles = _roles(place, task)
@@ -79,11 +94,16 @@ def _roles(place: ScannedPlace, task: RoleWishes) -> tuple[Pose, Pose]:
     )
 
 
-def _floor(scanned: Scanned, wishes: ScanWishes) -> tuple[RobotName, FoundFloor]:
+def _floor(
+    scanned: Scanned, wishes: ScanWishes, progress: Callable[[str, int, int], None]
+) -> tuple[RobotName, FoundFloor]:
     """Return the robot and its floor; a large place outdoors gets the large robot."""
 
     def floor(name: RobotName) -> FoundFloor:
-        return find_floor(scanned.faces, _climbing(name, wishes), wishes.floor_m)
+        stage = f"finding the floor of the {name}"
+        return find_floor(
+            scanned.faces, _climbing(name, wishes), wishes.floor_m, partial(progress, stage)
+        )
 
     if wishes.robot is not None:
         return wishes.robot, floor(wishes.robot)

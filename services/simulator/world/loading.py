@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -94,8 +94,14 @@ def prove(path: str, _work: Work) -> None:
         raise ConfinedError(str(error)) from None
 
 
-def bounded(function: str, request: object, source: Path, pass_fds: Sequence[int] = ()) -> Any:  # noqa: ANN401 - JSON
-    """Run a function on a map or world file in a child process with resource limits.
+def bounded(
+    function: str,
+    request: object,
+    source: Path,
+    pass_fds: Sequence[int] = (),
+    progress: Callable[[Any], None] = lambda _: None,
+) -> Any:  # noqa: ANN401 - JSON
+    """Run a function on a map or world file in a child process with resource limits; see `confined`.
 
     Raises
     ------
@@ -104,7 +110,9 @@ def bounded(function: str, request: object, source: Path, pass_fds: Sequence[int
     """
     limits = WorkLimits.of_size(size_of(source), MOST_MEMORY)
     try:
-        return confined(function, request, limits, source, go_on=go_on, pass_fds=pass_fds)
+        return confined(
+            function, request, limits, source, progress=progress, go_on=go_on, pass_fds=pass_fds
+        )
     except ConfinedError as error:
         raise WorldError(printable(str(error), 700)) from None
 

@@ -153,7 +153,14 @@ def test_scan_reports_holes_and_drives_around_them(tmp_path: Path) -> None:
 
 def test_scan_of_two_storeys_has_the_floor_asked_for(tmp_path: Path) -> None:
     house = two_storeys(tmp_path)
-    low = import_scan(house, ScanWishes(up="z"))
+    told: list[tuple[str, int, int]] = []
+    low = import_scan(house, ScanWishes(up="z"), lambda *stage: told.append(stage))
+    robots = [f"finding the floor of the {name}" for name in ("rescuebot", "turtlebot")]
+    assert list(dict.fromkeys(name for name, _, _ in told)) == ["reading the scan", *robots]
+    for robot in robots:
+        counts = [(done, total) for name, done, total in told if name == robot]
+        assert counts == sorted(counts)
+        assert counts[-1][0] == counts[-1][1] > 0
     high = import_scan(house, ScanWishes(up="z", floor_m=3.0))
     assert summary(low, "floor").endswith("height 0.01 m")
     assert summary(high, "floor").endswith("height 3.01 m")
