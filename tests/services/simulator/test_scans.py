@@ -53,12 +53,21 @@ def written(imported: ImportedScan, path: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def scanned(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Import the laboratory with the task of the original, and return its world file."""
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the file of the laboratory."""
 
     def make(folder: Path) -> None:
         laboratory().export(folder / "lab.glb")
-        written(import_scan(folder / "lab.glb", ScanWishes(TASK)), folder / "lab.json")
+
+    return made_once(tmp_path_factory, "laboratory", make) / "lab.glb"
+
+
+@pytest.fixture(scope="session")
+def scanned(lab: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Import the laboratory with the task of the original, and return its world file."""
+
+    def make(folder: Path) -> None:
+        written(import_scan(lab, ScanWishes(TASK)), folder / "lab.json")
 
     return made_once(tmp_path_factory, "scan", make) / "lab.json"
 
@@ -138,15 +147,14 @@ def test_scan_with_draco_equals_the_plain_one(tmp_path: Path, scanned: Path) -> 
     assert difference.area < 0.02 * plain.floor.footprint.area
 
 
-def test_scan_reports_holes_and_drives_around_them(tmp_path: Path) -> None:
+def test_scan_reports_holes_and_drives_around_them(tmp_path: Path, lab: Path) -> None:
     place = (1.5, 3.0)
     without_floor(laboratory(), *place, 0.5).export(tmp_path / "hole.glb")
     imported = import_scan(tmp_path / "hole.glb", ScanWishes(TASK))
     assert share(imported, "edge without a wall") > 1.0
     # The scan counts from the corner of its floor.
     assert not obstacles_of(imported.world.place).is_free(*place, 0.0)
-    laboratory().export(tmp_path / "whole.glb")
-    whole = import_scan(tmp_path / "whole.glb", ScanWishes(TASK))
+    whole = import_scan(lab, ScanWishes(TASK))
     assert share(whole, "edge without a wall") == 0.0
     assert obstacles_of(whole.world.place).is_free(*place)
 
@@ -209,9 +217,8 @@ def test_far_specks_do_not_change_a_scan(tmp_path: Path, scanned: Path) -> None:
     assert difference.area < 0.02 * plain.floor.footprint.area
 
 
-def test_scan_without_a_task_gets_a_long_hidden_one(tmp_path: Path) -> None:
-    laboratory().export(tmp_path / "lab.glb")
-    world = import_scan(tmp_path / "lab.glb", ScanWishes()).world
+def test_scan_without_a_task_gets_a_long_hidden_one(lab: Path) -> None:
+    world = import_scan(lab, ScanWishes()).world
     assert route_length_m(plan_route(world, (world.start.x, world.start.y))) > 7.0
     sight = np.array([[(world.start.x, world.start.y), (world.victim.x, world.victim.y)]])
     assert not obstacles_of(world.place).in_sight(sight)[0]
@@ -291,23 +298,20 @@ def test_robot_reaches_the_goal_in_a_scan(scanned: Path, base: BaseKind) -> None
 
 
 def test_textures_beyond_the_limit_are_reduced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, lab: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    laboratory().export(tmp_path / "lab.glb")
-    monkeypatch.setattr(reading, "MOST_TEXTURE", 4 << 20)
-    imported = import_scan(tmp_path / "lab.glb", ScanWishes(TASK))
+    monkeypatch.setattr(reading, "MOST_TEXTURE", 1 << 20)
+    imported = import_scan(lab, ScanWishes(TASK))
     assert "reduced to 1/" in summary(imported, "warning")
     path = written(imported, tmp_path / "lab.json")
     pictures = {id(picture): picture for _, picture in read_parts(path.with_suffix(".npz"))}
-    assert sum(4 * 4 / 3 * one.size / 3 for one in pictures.values()) <= 4 << 20
+    assert sum(4 * 4 / 3 * one.size / 3 for one in pictures.values()) <= 1 << 20
 
 
 NAMES = ("cut.glb", "empty.ply", "text.obj", "cloud.ply", "picture.glb")
 
 
-def broken(folder: Path) -> dict[str, Path]:
-    scene = laboratory()
-    whole = scene.export(file_type="glb")
+def broken(folder: Path, whole: bytes) -> dict[str, Path]:
     files = {name: folder / name for name in NAMES}
     files["cut.glb"].write_bytes(whole[: len(whole) // 2])
     files["empty.ply"].write_bytes(b"")
@@ -319,8 +323,8 @@ def broken(folder: Path) -> dict[str, Path]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_broken_scan_gives_one_line(tmp_path: Path, name: str) -> None:
-    path = broken(tmp_path)[name]
+def test_broken_scan_gives_one_line(tmp_path: Path, lab: Path, name: str) -> None:
+    path = broken(tmp_path, lab.read_bytes())[name]
     with pytest.raises(WorldError) as error:
         import_scan(path, ScanWishes())
     assert str(error.value).startswith(f"{path}: ")
