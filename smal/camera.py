@@ -112,6 +112,16 @@ class Camera:
         slope = radii[below + 1] - radii[below]
         return np.asarray(radii[below] + (at - below) * slope)
 
+    def magnification(self, off: Floats, ahead: Floats) -> Floats:
+        """Return the distance from the principal point, in focal lengths, over the distance `off` from the axis.
+
+        Points far outside of the image, or behind the camera, come to lie at its border.
+        """
+        if self.lens == "plumb_bob" and not any(self.distortion):
+            # The table gives the same in twice the time.
+            return np.asarray(1.0 / np.maximum(ahead, off / math.tan(_MOST_RAD[self.lens])))
+        return np.minimum(self.radius(np.arctan2(off, ahead)), 100.0) / off
+
     def angle(self, radius: AnyArray | float) -> Floats:
         """Return the angle from the axis at a distance from the principal point, the inverse of `radius`."""
         angles, radii = self._table
@@ -242,11 +252,9 @@ class Scene:
         if pitch_rad:
             y, z = _pitched(y, z, pitch_rad)
         off = np.maximum(np.sqrt(x * x + y * y), 1e-9)
-        # Pixels far outside of the image repeat its border.
-        angle = np.arctan2(off, z)
-        radius = np.minimum(self.camera.radius(angle), 100.0) * focal / off
-        columns = (radius * x + middle_u).astype(np.float32)
-        rows = (radius * y + middle_v).astype(np.float32)
+        scale = self.camera.magnification(off, z) * focal
+        columns = (scale * x + middle_u).astype(np.float32)
+        rows = (scale * y + middle_v).astype(np.float32)
         return cv2.convertMaps(columns, rows, cv2.CV_16SC2)
 
 
