@@ -12,8 +12,14 @@ from xdist.workermanage import WorkerController
 
 #: What drives robots in real time, and waits more than it computes: one process does the whole folder.
 REAL_TIME: Final = ("tests/system/console/", "tests/ros2/", "tests/serial/", "tests/system/")
-#: What is begun first, since it lasts longest: pure computing before the last, so that only two of them drive at once.
-FIRST: Final = (*REAL_TIME[:3], "tests/smal/", REAL_TIME[3])
+#: The longest files outside of `REAL_TIME`. At the end of a run, the other processes wait for them.
+LONG: Final = (
+    "tests/smal/",
+    "tests/services/simulator/test_scans.py",
+    "tests/services/robot/test_other_simulators.py",
+)
+#: Order of the longest: pure computing before the last folder, so that only two of them drive at once.
+FIRST: Final = (*REAL_TIME[:3], *LONG, REAL_TIME[3])
 
 
 class Sharing(LoadScopeScheduling):
