@@ -10,6 +10,8 @@ The hidden state is a pose beside a taught keyframe (the keyframe, the way ahead
 * A *jump* covers movements that the odometry misses: the robot was carried (kidnapped), or the filter follows a
   wrong place. A jump can happen with every new view. A robot that was carried sees another view: the jump is more
   likely when the view differs from the view before, and less likely when it continues it.
+* A robot that is switched on beside a way can look *away* from all taught views. While it turns, scouts test such
+  places. The whole view is new evidence for them, because the views before showed other directions.
 * A second set of particles follows the hypothesis of a jump. Scouts join it with every view. They are drawn by the
   likelihood of the view, half of them near the last certain pose. When this set becomes more likely than the first,
   the two sets are joined.
@@ -37,6 +39,9 @@ from smal.particles import FILTER_CONFIG, FilterConfig, Particles, ViewEvidence,
 #: "frozen".
 CameraState = Literal["sees", "blank", "frozen"]
 
+#: Share of all headings from which a robot beside a way looks at taught views.
+_FACING: Final = TURNS_DEG.size * STEP_DEG / 360.0
+
 #: Number of places in a summary of a belief, the heaviest first.
 PLACES: Final = 64
 
@@ -50,7 +55,8 @@ class Belief:
     offsets: Floats
     #: Probabilities given that the robot is not lost; they sum to 1.
     weights: Floats
-    #: Probability, 0 to 1, that the robot is far from everything that was taught.
+    #: Probability, 0 to 1, that the robot is far from everything that was taught, or looks away from all of it at an
+    #: unknown place.
     lost: float
     #: Mean cosine of the last view with the views of these places.
     cosine: float
@@ -109,11 +115,16 @@ class Belief:
 
 
 class _Odds(NamedTuple):
-    """Probabilities of the tracked particles, the jumped ones, the scouts to send, and "lost"."""
+    """Probabilities of the hypotheses; after each view none is sent or turned in."""
 
     tracked: float
     jumped: float
+    #: Scouts to send.
     sent: float
+    #: Scouts to send for places from which the robot has looked away until now.
+    turned_in: float
+    #: Beside an unknown place of a way since the start, looking away from all taught views.
+    away: float
     lost: float
 
 
@@ -258,7 +269,8 @@ class Filter:
         self._tracked = self._at_starts()
         self._jumped: Particles | None = None
         at_start, anywhere, lost = self._config.first
-        self._odds = _Odds(at_start, 0.0, anywhere, lost)
+        away = lost * anywhere / (anywhere + lost)
+        self._odds = _Odds(at_start, 0.0, anywhere, 0.0, away, lost - away)
         self._frozen = Frozen(self._map)
         self.forget_view()
         self._started = False
@@ -269,7 +281,7 @@ class Filter:
         self._sure: tuple[int, Floats, float] | None = None
         if belief is not None:
             self._tracked = self._drawn_from(belief)
-            self._odds = _Odds(1.0 - belief.lost, 0.0, 0.0, belief.lost)
+            self._odds = _Odds(1.0 - belief.lost, 0.0, 0.0, 0.0, 0.0, belief.lost)
             self._support = belief.support
             self._started = True
 
@@ -341,6 +353,7 @@ class Filter:
         if self._started:
             self._jump(seen, movement, noise)
             self._move(movement, noise, seen.newness)
+            self._turn_in(abs(movement.turn_rad))
             if self._sure is not None:
                 drive, pose, reach = self._sure
                 reach += self._config.slip * abs(movement.ahead)
@@ -358,7 +371,7 @@ class Filter:
             share = 1.0 if self._evidence < 0.0 else certain
             self._support = max(self._support + share * self._evidence, 0.0)
             self._note_sure()
-        if self._odds.lost > 0.5:
+        if self._odds.lost + self._odds.away > 0.5:
             self._support = 0.0
             self._directions = SeenDirections(self._map)
         self._note_seen(seen, abs(movement.ahead))
@@ -393,25 +406,32 @@ class Filter:
         moved, moves much; a view that continues the view before moves nearly nothing. Without views,
         confidence in the odometry decays.
         """
-        tracked, jumped, sent, lost = self._odds
+        odds = self._odds
         if seen.spread == 0.0:
             kept = 0.5 ** (self._map.lengths(movement) / self._config.blind)
-            strayed = (1.0 - kept) * (tracked + jumped)
-            self._odds = _Odds(kept * tracked, kept * jumped, sent, lost + strayed)
+            strayed = (1.0 - kept) * (odds.tracked + odds.jumped)
+            self._odds = odds._replace(
+                tracked=kept * odds.tracked, jumped=kept * odds.jumped, lost=odds.lost + strayed
+            )
             return
         jump = self._jump_probability(seen, noise.jump)
         _, anywhere, nowhere = self._config.first
         out = nowhere / (anywhere + nowhere)
         back = self._config.back * seen.newness
-        gone = (tracked + jumped) * jump
-        found = lost * back
-        kept = 1.0 - jump
-        self._odds = _Odds(
-            tracked=tracked * kept,
-            jumped=jumped * kept,
-            sent=sent + (gone * (1.0 - out) + found),
-            lost=lost - found + gone * out,
+        gone = (odds.tracked + odds.jumped) * jump
+        self._odds = odds._replace(
+            tracked=odds.tracked * (1.0 - jump),
+            jumped=odds.jumped * (1.0 - jump),
+            sent=odds.sent + gone * (1.0 - out) + (odds.away + odds.lost) * back,
+            away=odds.away * (1.0 - back),
+            lost=odds.lost * (1.0 - back) + gone * out,
         )
+
+    def _turn_in(self, turn_rad: float) -> None:
+        """Move probability from "away": a turn brings some of its headings before taught views."""
+        turned = self._odds.away * min(turn_rad / (math.tau * (1.0 - _FACING)), 1.0)
+        turned_in = self._odds.turned_in + turned
+        self._odds = self._odds._replace(turned_in=turned_in, away=self._odds.away - turned)
 
     def _jump_probability(self, seen: ViewEvidence, usual: float) -> float:
         """Return the probability of a jump, given how much the view differs from the view before.
@@ -432,23 +452,28 @@ class Filter:
 
     def _move(self, movement: Movement, noise: MotionNoise, newness: float) -> None:
         """Predict; particles that leave the taught area become "lost"."""
-        tracked, jumped, sent, lost = self._odds
+        tracked = self._odds.tracked
+        jumped = self._odds.jumped
         strayed = tracked * self._tracked.move(movement, noise, newness, self._rng)
         others = 0.0
         if self._jumped is not None:
             others = jumped * self._jumped.move(movement, noise, newness, self._rng)
-        self._odds = _Odds(tracked - strayed, jumped - others, sent, lost + strayed + others)
+        self._odds = self._odds._replace(
+            tracked=tracked - strayed,
+            jumped=jumped - others,
+            lost=self._odds.lost + strayed + others,
+        )
 
     def _weigh(self, seen: ViewEvidence) -> None:
         """Weigh all particles by a view, and send scouts."""
-        tracked, jumped, sent, lost = self._odds
+        tracked = self._odds.tracked
+        jumped = self._odds.jumped
         # Scouts take the shares from before this view: a view unlike the tracked place gives no evidence on others.
         shares = self._tracked.shares
         tracked *= self._tracked.update(seen, self._rng)
         if self._jumped is not None:
             jumped *= self._jumped.update(seen, self._rng)
-        scouts, likelihood = self._scouts(seen, shares)
-        sent *= likelihood
+        scouts, sent = self._scouts(seen, shares)
         if self._jumped is not None:
             scouts = Particles.joined((self._jumped, jumped), (scouts, sent))
             scouts.resampled(self._rng)
@@ -460,8 +485,10 @@ class Filter:
             self._jumped = None
             tracked = tracked + jumped
             jumped = 0.0
-        total = tracked + jumped + lost
-        self._odds = _Odds(tracked / total, jumped / total, 0.0, lost / total)
+        away = self._odds.away
+        lost = self._odds.lost
+        total = tracked + jumped + away + lost
+        self._odds = _Odds(tracked / total, jumped / total, 0.0, 0.0, away / total, lost / total)
         self._evidence = math.log(total)
 
     def _looks_at_taught(self) -> float:
@@ -469,12 +496,13 @@ class Filter:
         return float(self._tracked.weights @ self._tracked.facing())
 
     def _scouts(self, seen: ViewEvidence, shares: Floats) -> tuple[Particles, float]:
-        """Draw particles by the likelihood of one view; also return the likelihood of the view there."""
+        """Draw particles by the likelihood of one view; also return their joint probability with the view."""
         z = seen.stands_out(seen.cosines)
         whole = self._map.likelihood.mixed(shares, z, 1.0)
         new = self._map.likelihood.mixed(shares, z, seen.newness)
         prior = self._scout_prior(seen)[:, None]
         weights = prior * whole
+        joint = prior * (self._odds.sent * new + self._odds.turned_in * whole)
         drawn = systematic(weights.ravel(), self._config.particles, self._rng)
         chosen, turns = np.divmod(drawn, TURNS_DEG.size)
         scouts = self._beside(
@@ -483,14 +511,14 @@ class Filter:
             self._map.aside,
             STEP_DEG / 2.0,
         )
-        # They are drawn by the whole view, of which only a part is new.
-        correction = (new / whole).ravel()[drawn]
+        # They are drawn by the whole view, also those to which only a part is new.
+        correction = (joint / weights).ravel()[drawn]
         scouts.weights = correction / correction.sum()
         scouts.shares = shares
         # The pace belongs to the robot, wherever it is.
         weights = self._tracked.weights
         scouts.pace = self._rng.choice(self._tracked.pace, drawn.size, p=weights / weights.sum())
-        return scouts, float((prior * new).sum())
+        return scouts, float(joint.sum())
 
     def _scout_prior(self, seen: ViewEvidence) -> Floats:
         """Return the prior of the keyframes (n,): a share near the last certain pose, the rest even."""
@@ -546,7 +574,8 @@ class Filter:
             self._unseen = 0.0
 
     def _belief(self, seen: ViewEvidence) -> Belief:
-        tracked, jumped, _, lost = self._odds
+        tracked = self._odds.tracked
+        jumped = self._odds.jumped
         others = [] if self._jumped is None else [(self._jumped, jumped)]
         every = Particles.joined((self._tracked, tracked), *others)
         # A tenth of the weight has been followed for less.
@@ -557,7 +586,7 @@ class Filter:
             keyframes=every.keyframes,
             offsets=every.offsets(),
             weights=every.weights,
-            lost=lost / sum(self._odds),
+            lost=(self._odds.away + self._odds.lost) / sum(self._odds),
             cosine=min(every.cosine(seen), 1.0),
             tracked=float(every.tracked[order[least]]),
             evidence=self._evidence,

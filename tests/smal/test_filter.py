@@ -392,3 +392,16 @@ def test_robot_is_not_sure_before_it_has_turned_to_the_way(turn_deg: float) -> N
     assert not any(sure[: away.sum()])
     # A place that resembled the scene over the whole turn must not become certain either.
     assert off(beliefs[-1], poses[-1])[0] < 0.2 or beliefs[-1].is_lost
+
+
+def test_place_is_likelier_when_the_robot_turns_to_the_way() -> None:
+    shares = []
+    for start in range(15, 95, 5):
+        x, y, heading = drive().poses[start]
+        angles = np.radians(np.arange(120.0, 361.0, 4.0))
+        poses = np.column_stack([np.full((angles.size, 2), (x, y)), heading + angles])
+        belief = follow(Drive(poses, np.zeros(len(poses), dtype=np.int8)))[-1]
+        x_is, y_is, _, _ = poses_of(belief, usual_map()[0])
+        near = np.hypot(x_is - x, y_is - y) < 0.5
+        shares.append((1.0 - belief.lost) * float(belief.weights @ near))
+    assert np.mean(shares) > 0.15  # Without the prior of a robot that looks away: 0.08.
