@@ -8,9 +8,11 @@ from smal.arrays import AnyArray, Float32s
 from smal.map import VisualMap
 from smal.movement import placed
 
-#: Share of the change that the map predicts. A smaller change from one keyframe to the next is the noise of the camera:
-#: the picture is the same.
+#: Share of the change that the map predicts from one keyframe to the next. The noise of a camera changes less.
 CHANGES: Final = 0.1
+#: Change since a keyframe before, in mean changes from frame to frame. Noise does not grow with the way: 1. The picture
+#: of a wide place changes slowly, but from the first frame on: at least 2.
+GROWS: Final = 1.5
 
 
 class Frozen:
@@ -28,10 +30,16 @@ class Frozen:
 
     def reset(self) -> None:
         """Start a new episode."""
-        self._before: Float32s | None = None
+        self._last: Float32s | None = None
+        self.yes = False
+
+    def _begin_at(self, centred: Float32s) -> None:
+        """Compare the next pictures with this one."""
+        self._before = self._last = centred
         self._since = np.zeros(3)
         self._driven = 0.0
-        self.yes = False
+        self._frames = 0
+        self._changes = 0.0  # Sum of the changes from frame to frame.
 
     @property
     def way(self) -> float:
@@ -40,18 +48,23 @@ class Frozen:
 
     def observe(self, centred: Float32s, step: AnyArray) -> None:
         """Process the centred features (m,) of a picture, and the movement (3,) since the picture before."""
-        if self._before is None:
-            self._before = centred
+        if self._last is None:
+            self._begin_at(centred)
             return
         self._since = placed(step, self._since)
         self._driven += abs(float(step[0]))
+        self._frames += 1
+        self._changes += self._change(centred, self._last)
+        self._last = centred
         expected = self._map.expected(self._since)
         if expected >= self._map.next_correlation:
             # The robot has hardly moved: an unchanged picture is correct.
             return
-        same = self._map.likelihood.correlation(float(centred @ self._before))
-        self.yes = 1.0 - same < CHANGES * (1.0 - expected)
+        change = self._change(centred, self._before)
+        noise = self._changes / self._frames
+        self.yes = change < CHANGES * (1.0 - expected) and change <= GROWS * noise
         if not self.yes:
-            self._before = centred
-            self._since = np.zeros(3)
-            self._driven = 0.0
+            self._begin_at(centred)
+
+    def _change(self, picture: Float32s, other: Float32s) -> float:
+        return 1.0 - self._map.likelihood.correlation(float(picture @ other))

@@ -335,25 +335,30 @@ class Blind(Behaviour):
     """Stand after driving too far without a view that supports the robot's place, once it has looked around.
 
     It looks around again after `PlannerConfig.blind_again_s`: the light can have changed, or somebody can have carried
-    the robot back.
+    the robot back. A camera that shows nothing can face a plain wall. Therefore the robot then looks around too, but
+    only once: if no direction shows anything, the camera has failed.
     """
 
     def __init__(self, chassis: Chassis, look: LookAround) -> None:
         self._look = look
         self._again_s = chassis.config.blind_again_s
         self._stands_s = 0.0
+        self._tried = (
+            False  # Whether the robot has looked around since the camera last showed anything.
+        )
 
     def note(self, now: Situation) -> None:
         """Count the time for which the robot stands; when due, look around."""
+        self._tried = self._tried and not now.sees
         self._stands_s = self._stands_s + now.elapsed_s if now.doing == "blind" else 0.0
-        if self._stands_s >= self._again_s:
+        if self._stands_s >= self._again_s and not self._tried:
+            self._tried = not now.sees
             self._look.again()
 
     def propose(self, now: Situation) -> Intent | None:
         """Stand, unless looking around can help."""
-        if now.unseen and (self._look.done or not now.sees):
-            return Intent("blind", STANDS, now.heading_rad)
-        return None
+        waits = self._look.done or not (now.sees or self._tried)
+        return Intent("blind", STANDS, now.heading_rad) if now.unseen and waits else None
 
 
 class BackOff(Behaviour):

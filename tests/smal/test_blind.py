@@ -98,6 +98,33 @@ def test_camera_is_not_frozen_when_the_robot_stands() -> None:
     assert turned[-1].camera == "frozen"
 
 
+def test_camera_is_not_frozen_when_a_wide_place_changes_slowly() -> None:
+    one = drive(way=((2.2, 0.0),))
+    found = Filter(*usual_map())
+    first, last = (ROOM.look(pose).astype(float) for pose in (one.poses[0], one.poses[-1]))
+    states = set()
+    for number, movement in enumerate([STILL, *one.movements()]):
+        share = 0.2 * number / len(one.poses)
+        picture = np.rint(first + share * (last - first)).astype(np.uint8)
+        states.add(found.observe(extract(picture, COLOR), movement).camera)
+    assert states == {"sees"}
+
+
+def test_robot_looks_around_once_when_the_picture_is_blank() -> None:
+    planner = Planner(STRAIGHT)
+    here = belief((10, 0.0, 0.0, 0.0))
+    blank = replace(here, unseen=1.0, camera="blank")
+    again = round(PLANNER_CONFIG.blind_again_s / STRAIGHT.tick_s)
+    turn = round(PLANNER_CONFIG.look_rad / STRAIGHT.turn_rad)
+    kinds = [planner.decide(blank).kind for _ in range(3 * again + turn)]
+    found = [(kind, len(list(same))) for kind, same in groupby(kinds)]
+    assert [kind for kind, _ in found] == ["blind", "look_around", "blind"]
+    assert [count for _, count in found[:2]] == pytest.approx([again, turn], abs=1)
+    planner.decide(here)
+    again_blank = [planner.decide(blank).kind for _ in range(2 * again)]
+    assert {kind for kind, _ in groupby(again_blank)} == {"blind", "look_around"}
+
+
 def test_robot_looks_around_when_the_camera_sees_unknown_views() -> None:
     planner = Planner(STRAIGHT)
     ticks = round(PLANNER_CONFIG.look_rad / STRAIGHT.turn_rad)
