@@ -53,6 +53,7 @@ from services.operator.operator import POLL_S, Operator, Report
 from services.table import CHAIN
 
 LOAD_S: Final = 60.0  # Timeout of loading a model.
+START_S: Final = 10.0  # Time that a service takes to start on two busy cores.
 _LINES: Final = 30  # News lines that the page keeps.
 
 
@@ -277,7 +278,8 @@ class ConsoleService:
     def _record(self) -> None:
         """Start the recorder unless it records; blocks."""
         bus = self._node.bus
-        if bus.call("recorder", "status", Nothing(), Status).detail.get("folder") is None:
+        status = bus.call("recorder", "status", Nothing(), Status, patience_s=START_S)
+        if status.detail.get("folder") is None:
             bus.call("recorder", "start", RecordRequest(folder=DRIVES), Nothing)
 
     def _load(self, model: LearnedModel, goal: str | None) -> None:

@@ -2,7 +2,7 @@
 
 import { CAUSES, HELD_UP, LEFT, MISSED, PLANS, REASONS, capital, control, jobFacts, jobText, seconds, tooSlow } from "./words.js";
 
-const SILENT_S = 2, SETTLED_S = 5, SLOW = 0.8;
+const SILENT_S = 2, SETTLED_S = 5, SLOW = 0.8, STEADY_MS = 1000;
 /** Action that begins each step. */
 const BEGINS = { teach: "drive", learn: "learn", run: "run" };
 /** Plans of a robot that does not get on by itself. */
@@ -13,7 +13,6 @@ const GUIDE = {
   run: "Now let the robot find the way by itself",
 };
 
-const running = (robot) => Boolean(robot?.episode || robot?.waiting);
 const learning = (job) => job?.kind === "model" && !job.outcome;
 
 /** Trouble of the link or the robot, as [level, text]; it precedes everything else. */
@@ -66,7 +65,7 @@ function during({ driver, source, reason, cause, emergency }) {
 
 /** Next step: what runs now, else what the newest drive and model still need. */
 function nextStep({ robot, job, drives, untaught, unlisted, models }) {
-  if (running(robot)) return robot.purpose === "run" ? "run" : "teach";
+  if (robot?.episode) return robot.purpose === "run" ? "run" : "teach";
   const drove = robot?.purpose === "drive" && robot.outcome === "found" && (!models || unlisted);
   if (learning(job) || untaught || drove) return "learn";
   if (models) return "run";
@@ -75,7 +74,8 @@ function nextStep({ robot, job, drives, untaught, unlisted, models }) {
 
 /** Sentence between episodes, as [level, text, facts]. */
 function between(state, step) {
-  const { robot, job } = state;
+  const { robot, job, refused } = state;
+  if (refused) return ["warn", capital(refused)];
   if (learning(job)) return ["good", jobText(job), jobFacts(job)];
   if (job?.kind === "model" && job.outcome === "failed") {
     return ["bad", `${jobText(job)}. Select other drives below, or teach again`];
@@ -91,7 +91,7 @@ function between(state, step) {
  */
 export function lead(state) {
   const { robot, job, chosen } = state, next = nextStep(state), wrong = trouble(state);
-  const step = running(robot) ? next : chosen ?? next;
+  const step = robot?.episode ? next : chosen ?? next;
   if (robot?.waiting) {
     const [level, text] = wrong ?? ["warn", `${state.opening ? `The robot opens ${state.opening}` : "Waiting for the robot"} …`];
     return { next, step, level, text, facts: "", does: ["withdraw"] };
@@ -105,4 +105,24 @@ export function lead(state) {
   const stopped = robot?.emergency || ["emergency_stop", "wheels", "fault"].includes(robot?.cause);
   const begin = learning(job) && step === "learn" ? "cancel" : BEGINS[step];
   return { next, step, level, text, facts, does: stopped ? ["resume"] : [begin] };
+}
+
+/**
+ * Sentences of a running episode, as [level, text]: each is shown once it has held for a second, since
+ * the robot's reason can change with each frame. Alarms begin and end at once.
+ */
+export class Steady {
+  constructor() {
+    this._shown = [];
+    this._text = this._episode = "";
+    this._sinceMs = 0;
+  }
+
+  show(level, text, episode, nowMs) {
+    if (text !== this._text) [this._text, this._sinceMs] = [text, nowMs];
+    const calm = [level, this._shown[0]].every((one) => ["good", "warn"].includes(one));
+    const waits = calm && episode && episode === this._episode && nowMs - this._sinceMs < STEADY_MS;
+    if (!waits) [this._shown, this._episode] = [[level, text], episode];
+    return this._shown;
+  }
 }

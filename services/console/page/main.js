@@ -9,7 +9,7 @@ import { Drive } from "./drive.js";
 import { $, element, say } from "./element.js";
 import { closeFinish, drawFinish, finished, keepPicture, wireFinish } from "./finish.js";
 import { drawHealth } from "./health.js";
-import { lead } from "./lead.js";
+import { Steady, lead } from "./lead.js";
 import { drawMap, showPlace } from "./map.js";
 import { drawJob, drawLibrary, inWorld, known, really, startHere, wireTeaching } from "./teach.js";
 import { Watch } from "./watch.js";
@@ -62,7 +62,10 @@ async function onPicture(blob) {
   image.close();
 }
 
-let chosen = null, details = false, led = { does: [] }, changedMs = 0;
+const steady = new Steady();
+let chosen = null, details = false, led = { does: [] }, changedMs = 0, refused = "";
+/** A refusal stays in the header until the person acts. */
+for (const acts of ["pointerdown", "keydown"]) addEventListener(acts, () => { refused = ""; }, true);
 
 function link() {
   if (!watch.connected) return `Not connected to the console for ${seconds((performance.now() - watch.sinceMs) / 1000)}`;
@@ -84,10 +87,12 @@ function drawLead() {
     distance: distance(watch.state), ...known(robot),
   };
   const before = led;
-  led = lead(state);
-  if (led.next !== before.next || led.does[0] === "withdraw") [chosen, details] = [null, details && led.next === before.next];
-  $(".pill").className = `pill ${led.level}`;
-  say($("#status"), led.text);
+  if (before.does[0] === "withdraw" && robot && !robot.waiting && !robot.episode) refused = watch.state.news?.at(-1)?.text ?? "";
+  led = lead({ ...state, refused });
+  if (led.next !== before.next) [chosen, details] = [null, false];
+  const [level, text] = steady.show(led.level, led.text, robot?.episode ?? "", performance.now());
+  $(".pill").className = `pill ${level}`;
+  say($("#status"), text);
   say($("#facts"), led.facts);
   $("#camera").classList.toggle("old", led.level === "old" || Boolean(state.link));
   if (led.does[0] !== before.does[0]) changedMs = performance.now();

@@ -317,6 +317,21 @@ def test_episode_does_not_begin_when_its_person_has_left(
     assert robot.gate.latched_stop, "it was not armed"
 
 
+def test_drive_begins_when_its_recorder_starts_later(
+    robot: Robot, open_page: OpenPage, settings: ServiceSettings, run_node: RunNode, tmp_path: Path
+) -> None:
+    page = open_page()
+    page.sit()
+    page.say(do="drive", goal="dock")
+    eventually(lambda: page.robot(waiting=True))
+    node = Node("recorder", settings)
+    RecorderService(node, tmp_path)
+    run_node(node)
+    eventually(lambda: page.robot(waiting=False))
+    assert page.state["robot"]["episode"], page.news()
+    assert robot.gate.latched_stop == 0
+
+
 Opening = tuple[threading.Event, threading.Event]  # A world is being opened; the robot goes on.
 
 

@@ -66,6 +66,14 @@ STATES: dict[str, tuple[dict[str, Any], tuple[str, str, str, str]]] = {
         {"robot": IDLE, **LEARNED},
         ("run", "good", "Now let the robot find the way by itself", "run"),
     ),
+    "a run is asked for": (
+        {"robot": FOUND | {"purpose": "drive", "waiting": True}, "chosen": "run", **TAUGHT},
+        ("run", "warn", "Waiting for the robot …", "withdraw"),
+    ),
+    "a run is refused": (
+        {"robot": FOUND | {"purpose": "drive"}, "chosen": "run", "refused": "no room", **TAUGHT},
+        ("run", "warn", "No room", "run"),
+    ),
     "it has found": (
         {"robot": FOUND, "distance": 0.41, **LEARNED},
         ("run", "good", "Found: 0.4 m from the goal, 41 s", "run"),

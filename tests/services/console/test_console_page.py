@@ -177,6 +177,37 @@ def test_driver_cancels_an_episode_that_is_being_begun(
     page.wait_for_selector("#actions :text('Cancel')", state="hidden")
 
 
+def test_step_and_reason_stay_when_a_run_is_refused(page: Page, board: Board) -> None:
+    told = {"episode": None, "answers": True, "emergency": False, "at": 0.0}
+    board.put("robot", told | {"waiting": False})
+    tell_models(board, way=["victim"])
+    page.click("#steps [data-panel=run]")
+    board.put("robot", told | {"waiting": True})
+    page.wait_for_selector("#status:has-text('Waiting for the robot')")
+    board.put("news", [{"number": 1, "at": board.clock(), "text": "recorder: no answer"}])
+    board.put("robot", told | {"waiting": False})
+    page.wait_for_selector("#status:has-text('Recorder: no answer')")
+
+    def latest_is_gone() -> bool:
+        board.put("robot", told | {"waiting": False, "at": board.clock()})
+        return page.inner_text("#latest") == ""
+
+    eventually(latest_is_gone)
+    assert page.inner_text("#status") == "Recorder: no answer"
+    assert page.is_visible("#run")
+    page.keyboard.press("Tab")
+    page.wait_for_selector("#status:has-text('Recorder')", state="hidden")
+
+
+def test_sentence_stays_when_the_reason_changes_with_each_frame(page: Page) -> None:
+    script = """import('./lead.js').then(({Steady}) => {
+        const steady = new Steady(), said = (at, text, level = "warn") => steady.show(level, text, "e", at)[1];
+        return [said(0, "a"), said(100, "b"), said(200, "a"), said(300, "b"), said(1200, "b"), said(1300, "b"),
+            said(1400, "stop", "bad"), said(1500, "b")];
+    })"""
+    assert run_in(page, script) == ["a", "a", "a", "a", "a", "b", "stop", "b"]
+
+
 def test_page_draws_course_and_obstacles_over_the_picture(
     page: Page, nobody: Nobody, board: Board
 ) -> None:
