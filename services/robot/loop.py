@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from schemas.base import STANDING
-from services.kit.errors import out_of_memory
+from services.kit.errors import foreign_error, out_of_memory
 from services.kit.node import ServiceError
 from services.kit.throttle import Throttle
 from services.robot.body import Body, Stops, View
@@ -71,6 +71,7 @@ class ActuatorLoop:
         #: Age of the executed command, since the capture of its frame, at the start of its
         #: execution.
         self.delay_s = 0.0
+        self.fault: str | None = None  # Last error of the body, one line.
         self._answered: int | None = None
 
     def start(self) -> None:
@@ -90,11 +91,12 @@ class ActuatorLoop:
             self._carry_out()
         except Exception as error:
             self._gate.stop("fault")
+            expected = isinstance(error, ServiceError)
+            self.fault = str(error) if expected else foreign_error(error)
             if out_of_memory(error):
                 self._stand()
                 raise  # Ends the process.
             if self._complaints.due():
-                expected = isinstance(error, ServiceError)
                 _log.error(
                     "the body has failed; the robot stands until it is armed: %s",
                     error,

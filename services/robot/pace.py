@@ -154,8 +154,11 @@ class RealTime(Generic[V]):
         return min(view.captured_s, self._clock())
 
     def detail(self) -> Detail:
-        """Return the numbers of late frames and of late steps of the loop."""
-        return {"late_frames": self.late, "late_steps": self.loop.late}
+        """Return the numbers of late frames and of late steps of the loop, and the body's error."""
+        detail: Detail = {"late_frames": self.late, "late_steps": self.loop.late}
+        if self.loop.fault is not None:
+            detail["fault"] = self.loop.fault
+        return detail
 
     def begin(self) -> None:
         """Start the loop."""

@@ -15,7 +15,7 @@ from schemas import topics
 from schemas.action import Action
 from schemas.base import Message
 from schemas.camera import CompressedImage
-from schemas.command import CommandApplied
+from schemas.command import CommandApplied, StopCause
 from schemas.episode import Episode, Outcome, Said
 from schemas.heartbeat import Heartbeat
 from schemas.motion import TruePose
@@ -40,6 +40,7 @@ class EpisodeRecord:
     request: ResetRequest
     world: str = ""  # Name of the world, or of the body of a real robot.
     ticks: int = 0
+    stamps_ns: dict[int, int] = field(default_factory=dict)  # Capture times of the frames.
     outcome: Outcome = "aborted"
     right: bool | None = None  # Whether a "not here" was correct, if known.
     kidnapped: int = 0  # How often the robot was kidnapped, by request or by a person.
@@ -59,6 +60,10 @@ class EpisodeRecord:
         default_factory=dict
     )  # A sample of the camera images.
 
+    def seconds(self, tick: int) -> float:
+        """Return the time of a frame since the first, by the robot's clock."""
+        return (self.stamps_ns[tick] - min(self.stamps_ns.values())) / 1e9
+
 
 class EpisodeClient:
     """Runs episodes one after another on a stack."""
@@ -68,6 +73,7 @@ class EpisodeClient:
         self._episode = ""
         self._record: EpisodeRecord | None = None
         self._ended = False
+        self._stop: StopCause | None = None  # Why the robot stands until it is armed.
         self._alive_s = 0.0
         self._beats = count()
         self._armed = False
@@ -130,10 +136,12 @@ class EpisodeClient:
         ------
         JobError
             If the robot is in another world, sends nothing for `SILENCE_S`, or ends the episode
-            because of an error.
+            because of an error; if its body fails and no operator can arm it.
         """
         self._record = record = EpisodeRecord(request)
         self._ended = False
+        self._stop = None
+        reported: StopCause | None = None
         self._arm()
         # The first reset takes seconds when the renderer compiles its pipelines.
         asked = request.model_copy(update={"session": self.node.session})
@@ -156,6 +164,9 @@ class EpisodeClient:
         ):
             on_tick(record.ticks)
             check()
+            if self._stop != reported:
+                reported = self._stop
+                self._report_stop(reported)
             if time.monotonic() - self._alive_s > SILENCE_S:
                 raise JobError(
                     f"robot {self.node.robot}: no message for {SILENCE_S:.0f} s; see the "
@@ -198,14 +209,30 @@ class EpisodeClient:
                 yield record
 
     def _of(self, message: Message) -> EpisodeRecord | None:
-        """Return the current record if a message belongs to its episode."""
-        return self._record if message.episode == self._episode else None
+        """Return the current record if a message belongs to its episode, and keep its time."""
+        if self._record is None or message.episode != self._episode:
+            return None
+        self._record.stamps_ns[message.tick] = message.stamp_ns
+        return self._record
 
     def _raise_fault(self) -> None:
         """Raise JobError with the error that ended the episode, if any."""
         robot = self.node.bus.call("robot", "status", Nothing(), Status).detail
         if robot.get("fault"):
             raise JobError(f"episode {self._episode} ended by an error: {robot['fault']}")
+
+    def _report_stop(self, cause: StopCause | None) -> None:
+        """Print why the robot stands; JobError if its body has failed and no operator can arm it."""
+        if cause is None:
+            return
+        robot = self.node.bus.call("robot", "status", Nothing(), Status).detail
+        why = f"the robot stands: {cause.replace('_', ' ')}"
+        if cause == "fault":
+            why = f"the robot's body has failed: {robot.get('fault')}"
+            if not robot.get("operator"):
+                self._end()
+                raise JobError(why)
+        tqdm.write(f"{why}; arm it on the page or in smal teleop (r)", file=sys.stderr)
 
     def _await_judge(self) -> None:
         """Give the operator time to confirm the goal if only a person can judge it."""
@@ -272,6 +299,7 @@ class EpisodeClient:
     def _on_applied(self, applied: CommandApplied) -> None:
         if record := self._of(applied):
             self._alive_s = time.monotonic()
+            self._stop = applied.stop_cause
             record.ticks = max(record.ticks, applied.tick)
             if applied.latency_ns is not None and applied.answered_tick is not None:
                 record.latencies_ms.setdefault(applied.answered_tick, applied.latency_ns / 1e6)

@@ -49,6 +49,9 @@ def test_a_body_that_fails_stands_until_it_is_armed_again(caplog: pytest.LogCapt
         advance(runner, clock, 0.1)
     assert body.orders[-1] == ("stop", 0.0)
     assert (runner.gate.stop_cause, caplog.text.count("the body has failed")) == ("fault", 1)
+    assert runner.running is not None
+    fault = str(runner.running.pace.detail()["fault"])
+    assert fault.startswith("OSError: the wheels do not answer (test_loop.py, line ")
     body.fails = frozenset()
     answer(runner)
     advance(runner, clock, 0.04)

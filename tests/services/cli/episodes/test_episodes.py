@@ -10,6 +10,7 @@ import pytest
 
 from schemas.action import Action
 from schemas.base import Message
+from schemas.command import CommandApplied
 from schemas.episode import Episode, Outcome
 from schemas.rpc import ArmRequest, EndRequest, LoadReply, LoadRequest, ResetReply, ResetRequest
 from services.cli.episodes.client import EpisodeClient
@@ -38,6 +39,8 @@ class FakeSimulator:
     stop_cause: str | None = "not_armed"
     attended = False
     judge = "task"
+    fault: str | None = None
+    operator = True
     route: tuple[tuple[float, float], ...] = ((0.0, 0.0), (1.0, 0.0))
 
     def __init__(self, node: Node) -> None:
@@ -57,11 +60,15 @@ class FakeSimulator:
             Timer(0.2, self.end, (found,)).start()
         return {
             "stop_cause": self.stop_cause, "latched_stop": 7, "attended": self.attended,
-            "judge": self.judge, "operator": True,
+            "judge": self.judge, "operator": self.operator, "fault": self.fault,
         }  # fmt: skip
 
     def reset(self, _request: ResetRequest) -> ResetReply:
         self.begun = True
+        if self.fault is not None:
+            stop = {"latched_stop": 8, "stop_cause": "fault", "reason": "latched_stop"}
+            still = {"atom": "stop", "linear": 0.0, "angular": 0.0, "source": None}
+            self._node.publish(CommandApplied.after(CAUSE, **still, **stop))
         for tick, (kind, state) in enumerate(self.decisions):
             cause = CAUSE.model_copy(update={"tick": tick})
             self._node.publish(
@@ -150,6 +157,16 @@ def test_run_arms_only_the_robot_that_it_started(
     assert simulator.armed == armed, (
         "once: one that was started again meanwhile is armed by a person"
     )
+
+
+def test_run_fails_at_once_when_the_body_fails(
+    simulator: FakeSimulator, client: EpisodeClient
+) -> None:
+    simulator.fault = "the wheels do not answer"
+    simulator.operator = False
+    with pytest.raises(JobError, match="the robot's body has failed: the wheels do not answer"):
+        client.run(REQUEST)
+    assert simulator.ended == ["e"]
 
 
 def test_episode_is_ended_when_its_world_is_another(
