@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from schemas.base import TICK_S
 from schemas.codec import printable
 from schemas.episode import in_words
 from services.cli.episodes.client import EpisodeRecord
@@ -69,10 +68,9 @@ def write_report(
         model=f"{printable(str(file))}, checksum {learned.checksum[:12]}"
         + (f", taught in {printable(taught_in)}" if taught_in else ""),
         to_goal=to_goal,
-        photos={f"{tick * TICK_S:.0f} s, frame {tick}": shown.frames[tick] for tick in ticks},
+        photos={f"{shown.seconds(tick):.0f} s, frame {tick}": shown.frames[tick] for tick in ticks},
         records=records,
         in_words=in_words,
-        tick_s=TICK_S,
     )
 
 

@@ -22,6 +22,7 @@ def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.setattr(sys, "argv", ["smal", "run", "--world", "yard"])
     victim = load_world("yard").victim
     record = EpisodeRecord(ResetRequest(seed=7), "yard", ticks=20, outcome="timeout")
+    record.stamps_ns = {tick: tick * 500_000_000 for tick in (0, 10, 20)}  # as at 2 frames a second
     record.poses = {0: (0.0, 0.0), 20: (victim.x + 3.0, victim.y)}
     record.frames = {tick: np.zeros((24, 32, 3), dtype=np.uint8) for tick in (0, 10, 20)}
     model = Stored.load(corridor.save_model(tmp_path / "way.smal"))
@@ -40,11 +41,12 @@ def test_report_names_date_command_and_versions(page: str) -> None:
 def test_report_names_model_world_and_distance(page: str) -> None:
     assert "way.smal, checksum " in page
     assert "SMAL: yard, 1 run" in page
-    assert "<td>out of time</td><td>7</td><td>3.0</td><td>21</td>" in page
+    assert "<td>out of time</td><td>7</td><td>3.0</td><td>21</td><td>10</td>" in page
 
 
 def test_report_plays_the_pictures_of_a_run(page: str) -> None:
     film = page.split('<figure class="player">')[1].split("</figure>", maxsplit=1)[0]
     assert film.count("data:image/jpeg") == 3
+    assert "5 s, frame 10" in film
     assert film.count('class="wide shown"') == 1
     assert 'max="2"' in film
