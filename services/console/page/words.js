@@ -39,7 +39,7 @@ export const HELD_UP = "An obstacle slows down or stops the robot";
 export const tooSlow = (rate, wanted) =>
   `This computer is too slow for real time (${Math.round(rate)} of ${Math.round(wanted)} frames a second)`;
 export const LABELS = {
-  drive: "Begin a drive", learn: "Learn", run: "Run", found: "Found: end here", end: "End: not found", quit: "End the run",
+  drive: "Begin a drive", learn: "Learn", run: "Run", found: "Found: end here", end: "Give up", quit: "End the run",
   resume: "Resume", withdraw: "Cancel", cancel: "Cancel learning",
 };
 const CAMERAS = {

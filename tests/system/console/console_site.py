@@ -139,7 +139,8 @@ def begin_a_drive(page: Page, site: Site, world: str = "yard") -> None:
 def show(page: Page, panel: str) -> None:
     """Show a step or the details; a running episode is ended first, since it keeps its own step."""
     if data(page, "episode") and panel != "Details":
-        act(page, "End")
+        with suppress(Error):
+            page.click("#actions :is([data-does=end], [data-does=quit])", timeout=5000.0)
         act(page, "Really end?")
         eventually(lambda: data(page, "episode") == "")
     page.click(f"#steps button:has-text('{panel}')")

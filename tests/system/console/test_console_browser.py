@@ -92,7 +92,7 @@ def test_map_becomes_a_world_when_it_is_dropped(page: Page, site: Site) -> None:
         ),
     )
     assert site.robot("variation") == "dark"
-    act(page, "End: not found")
+    act(page, "Give up")
     act(page, "Really end?")
     eventually(lambda: data(page, "episode") == "")
 
