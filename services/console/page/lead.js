@@ -66,6 +66,7 @@ function during({ driver, source, reason, cause, emergency }) {
 /** Next step: what runs now, else what the newest drive and model still need. */
 function nextStep({ robot, job, drives, untaught, unlisted, models }) {
   if (robot?.episode) return robot.purpose === "run" ? "run" : "teach";
+  if (job?.kind === "model" && job.outcome === "done") return "run";  // the list follows
   const drove = robot?.purpose === "drive" && robot.outcome === "found" && (!models || unlisted);
   if (learning(job) || untaught || drove) return "learn";
   if (models) return "run";

@@ -62,6 +62,10 @@ STATES: dict[str, tuple[dict[str, Any], tuple[str, str, str, str]]] = {
             "learn",
         ),
     ),
+    "it is learned but not listed yet": (
+        {"robot": IDLE, "job": LEARNS | {"outcome": "done"}, **TAUGHT},
+        ("run", "good", "Now let the robot find the way by itself", "run"),
+    ),
     "it is learned": (
         {"robot": IDLE, **LEARNED},
         ("run", "good", "Now let the robot find the way by itself", "run"),
