@@ -71,8 +71,13 @@ class ActuatorLoop:
         #: Age of the executed command, since the capture of its frame, at the start of its
         #: execution.
         self.delay_s = 0.0
-        self.fault: str | None = None  # Last error of the body, one line.
+        self._error: str | None = None  # Last error of the body, one line.
         self._answered: int | None = None
+
+    @property
+    def fault(self) -> str | None:
+        """Error of the body for which it stands until it is armed; None without one."""
+        return self._error if self._gate.stop_cause == "fault" else None
 
     def start(self) -> None:
         """Start the loop."""
@@ -92,7 +97,7 @@ class ActuatorLoop:
         except Exception as error:
             self._gate.stop("fault")
             expected = isinstance(error, ServiceError)
-            self.fault = str(error) if expected else foreign_error(error)
+            self._error = str(error) if expected else foreign_error(error)
             if out_of_memory(error):
                 self._stand()
                 raise  # Ends the process.

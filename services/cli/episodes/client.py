@@ -61,8 +61,9 @@ class EpisodeRecord:
     )  # A sample of the camera images.
 
     def seconds(self, tick: int) -> float:
-        """Return the time of a frame since the first, by the robot's clock."""
-        return (self.stamps_ns[tick] - min(self.stamps_ns.values())) / 1e9
+        """Return the time of a frame since the first, by the robot's clock; 0 for an unknown one."""
+        first_ns = min(self.stamps_ns.values(), default=0)
+        return (self.stamps_ns.get(tick, first_ns) - first_ns) / 1e9
 
 
 class EpisodeClient:

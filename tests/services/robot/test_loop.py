@@ -56,6 +56,8 @@ def test_a_body_that_fails_stands_until_it_is_armed_again(caplog: pytest.LogCapt
     answer(runner)
     advance(runner, clock, 0.04)
     assert body.orders[-1] == ("stop", 0.0), "it does not try by itself"
+    assert runner.gate.arm(runner.gate.latched_stop, "") is None
+    assert "fault" not in runner.running.pace.detail()
 
 
 def test_failed_body_is_left_to_its_watchdog(
