@@ -89,7 +89,10 @@ function drawLead() {
   const before = led;
   if (before.does[0] === "withdraw" && robot && !robot.waiting && !robot.episode) refused = watch.state.news?.at(-1)?.text ?? "";
   led = lead({ ...state, refused });
-  if (led.next !== before.next) [chosen, details] = [null, false];
+  if (led.next !== before.next) {  // the page leads to the new step
+    [chosen, details] = [null, false];
+    led = lead({ ...state, refused, chosen });
+  }
   const [level, text] = steady.show(led.level, led.text, robot?.episode ?? "", performance.now());
   $(".pill").className = `pill ${level}`;
   say($("#status"), text);
