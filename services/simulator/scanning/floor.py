@@ -242,10 +242,11 @@ class _Columns:
         lowest = np.concatenate([one.corners.min(axis=1) for one in faces])
         highest = np.concatenate([one.corners.max(axis=1) for one in faces])
         reach_m = np.append(np.full(2, _FARTHEST * self._cell_m), np.inf)
-        from_m, to_m = self._middle - reach_m, self._middle + reach_m
+        from_m = self._middle - reach_m
+        to_m = self._middle + reach_m
         near = ((lowest < to_m) & (highest > from_m)).all(axis=1)
-        low, high = lowest[near].min(axis=0), highest[near].max(axis=0)
-        return np.maximum(low, from_m), np.minimum(high, to_m)
+        low = np.maximum(lowest[near].min(axis=0), from_m)
+        return low, np.minimum(highest[near].max(axis=0), to_m)
 
     def _samples(
         self, faces: Sequence[PartFaces], progress: Callable[[int, int], None]

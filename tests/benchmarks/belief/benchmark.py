@@ -82,10 +82,12 @@ class Variant:
 
 def _without_scouts(self: Filter, seen: ViewEvidence) -> None:
     """Weigh as `Filter` does, but let nobody look elsewhere: who is not lost is where the wheels lead."""
-    tracked, _, sent, lost = self._odds
-    tracked = (tracked + sent) * self._tracked.update(seen, self._rng)
-    self._odds = self._odds._replace(
-        tracked=tracked / (tracked + lost), sent=0.0, lost=lost / (tracked + lost)
+    odds = self._odds
+    tracked = (odds.tracked + odds.sent + odds.turned_in) * self._tracked.update(seen, self._rng)
+    elsewhere = odds.away + odds.lost
+    total = tracked + elsewhere
+    self._odds = odds._replace(
+        tracked=tracked / total, sent=0.0, turned_in=0.0, away=0.0, lost=elsewhere / total
     )
 
 
