@@ -18,8 +18,8 @@ LONG: Final = (
     "tests/services/simulator/test_scans.py",
     "tests/services/robot/test_other_simulators.py",
 )
-#: Order of the longest: pure computing before the last folder, so that only two of them drive at once.
-FIRST: Final = (*REAL_TIME[:3], *LONG, REAL_TIME[3])
+#: Order of the longest: pure computing between two and two folders, so that only two of them drive at once.
+FIRST: Final = (*REAL_TIME[:2], *LONG, *REAL_TIME[2:])
 
 
 class Sharing(LoadScopeScheduling):
