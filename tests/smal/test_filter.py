@@ -90,12 +90,14 @@ def test_it_follows_the_taught_way_at_any_rate_and_speed(rate_hz: float, speed: 
     assert beliefs[-1].tracked == pytest.approx(way_of(seen), rel=0.01)
 
 
-@pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_filter_follows_a_bend_when_atoms_report_another_speed(factor: float) -> None:
+@pytest.mark.parametrize(("factor", "most_m", "most_deg"), [(0.5, 0.3, 6.0), (2.0, 0.35, 5.0)])
+def test_filter_follows_a_bend_when_atoms_report_another_speed(
+    factor: float, most_m: float, most_deg: float
+) -> None:
     seen = drive(way=((2.5, 90.0), (1.0, 0.0)), rate_hz=20.0)
     features = [extract(ROOM.look(pose), COLOR) for pose in seen.poses]
     errors = []
-    for seed in range(3):
+    for seed in range(8):
         found = Filter(*usual_map(), seed=seed)
         beliefs = [found.observe(features[0])]
         for raw, movement in zip(features[1:], seen.movements(), strict=True):
@@ -104,8 +106,8 @@ def test_filter_follows_a_bend_when_atoms_report_another_speed(factor: float) ->
         assert not beliefs[-1].is_lost
         errors += [off(*one) for one in zip(beliefs[21:], seen.poses[21:], strict=True)]
     way_m, turn_deg = np.mean(errors, axis=0)
-    assert way_m < 0.5  # Single seeds give 0.2 to 0.4.
-    assert turn_deg < 7.5  # Of a bend of 90 degrees; single seeds give 4.6 to 6.3.
+    assert way_m < most_m
+    assert turn_deg < most_deg
 
 
 @pytest.mark.parametrize(
