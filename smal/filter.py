@@ -127,6 +127,11 @@ class _Odds(NamedTuple):
     away: float
     lost: float
 
+    @property
+    def unknown(self) -> float:
+        """Probability that the robot is at no known place."""
+        return self.away + self.lost
+
 
 class Newness:
     """How new a view is, 0 to 1: the part of its information that earlier views did not contain.
@@ -371,7 +376,7 @@ class Filter:
             share = 1.0 if self._evidence < 0.0 else certain
             self._support = max(self._support + share * self._evidence, 0.0)
             self._note_sure()
-        if self._odds.lost + self._odds.away > 0.5:
+        if self._odds.unknown > 0.5:
             self._support = 0.0
             self._directions = SeenDirections(self._map)
         self._note_seen(seen, abs(movement.ahead))
@@ -422,7 +427,7 @@ class Filter:
         self._odds = odds._replace(
             tracked=odds.tracked * (1.0 - jump),
             jumped=odds.jumped * (1.0 - jump),
-            sent=odds.sent + gone * (1.0 - out) + (odds.away + odds.lost) * back,
+            sent=odds.sent + gone * (1.0 - out) + odds.unknown * back,
             away=odds.away * (1.0 - back),
             lost=odds.lost * (1.0 - back) + gone * out,
         )
@@ -586,7 +591,7 @@ class Filter:
             keyframes=every.keyframes,
             offsets=every.offsets(),
             weights=every.weights,
-            lost=(self._odds.away + self._odds.lost) / sum(self._odds),
+            lost=self._odds.unknown / sum(self._odds),
             cosine=min(every.cosine(seen), 1.0),
             tracked=float(every.tracked[order[least]]),
             evidence=self._evidence,

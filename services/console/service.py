@@ -46,6 +46,7 @@ from services.console.library import DRIVES, MODELS, LearnedModel, Library
 from services.console.live_content import LiveContent
 from services.console.newest_content import Board
 from services.console.who_drives import LEASE_S, LET_GO_S
+from services.kit.bus import PATIENCE_S
 from services.kit.model_service import most_ticks
 from services.kit.node import Node, ServiceError
 from services.kit.root import WORLDS, below
@@ -53,7 +54,6 @@ from services.operator.operator import POLL_S, Operator, Report
 from services.table import CHAIN
 
 LOAD_S: Final = 60.0  # Timeout of loading a model.
-START_S: Final = 10.0  # Time that a service takes to start on two busy cores.
 _LINES: Final = 30  # News lines that the page keeps.
 
 
@@ -278,7 +278,7 @@ class ConsoleService:
     def _record(self) -> None:
         """Start the recorder unless it records; blocks."""
         bus = self._node.bus
-        status = bus.call("recorder", "status", Nothing(), Status, patience_s=START_S)
+        status = bus.call("recorder", "status", Nothing(), Status, patience_s=PATIENCE_S)
         if status.detail.get("folder") is None:
             bus.call("recorder", "start", RecordRequest(folder=DRIVES), Nothing)
 

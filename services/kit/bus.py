@@ -53,7 +53,7 @@ __all__ = [
     "zenohd_configuration",
 ]
 
-# How long a process waits for a router that is perhaps just starting.
+# How long a process waits for a router, or a service, that is perhaps just starting.
 PATIENCE_S: Final = 10.0
 #: How often a publisher sends its sample count, so that subscribers notice missing samples; also
 #: after long silence, since the router can have been away.

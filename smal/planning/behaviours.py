@@ -343,9 +343,8 @@ class Blind(Behaviour):
         self._look = look
         self._again_s = chassis.config.blind_again_s
         self._stands_s = 0.0
-        self._tried = (
-            False  # Whether the robot has looked around since the camera last showed anything.
-        )
+        #: Whether the robot has looked around since the camera last showed anything.
+        self._tried = False
 
     def note(self, now: Situation) -> None:
         """Count the time for which the robot stands; when due, look around."""

@@ -25,7 +25,7 @@ from services.experiments.progress import bar_of
 from services.kit.bus import RpcError
 from services.kit.errors import JobError
 from services.kit.jpeg import decode_jpeg
-from services.kit.node import Node
+from services.kit.node import Detail, Node
 from services.kit.settings import ServiceSettings
 
 BEAT_S: Final = 0.5  # Period of the heartbeat to the robot, seconds.
@@ -75,6 +75,7 @@ class EpisodeClient:
         self._record: EpisodeRecord | None = None
         self._ended = False
         self._stop: StopCause | None = None  # Why the robot stands until it is armed.
+        self._reported_stop: StopCause | None = None
         self._alive_s = 0.0
         self._beats = count()
         self._armed = False
@@ -142,7 +143,7 @@ class EpisodeClient:
         self._record = record = EpisodeRecord(request)
         self._ended = False
         self._stop = None
-        reported: StopCause | None = None
+        self._reported_stop = None
         self._arm()
         # The first reset takes seconds when the renderer compiles its pipelines.
         asked = request.model_copy(update={"session": self.node.session})
@@ -165,9 +166,7 @@ class EpisodeClient:
         ):
             on_tick(record.ticks)
             check()
-            if self._stop != reported:
-                reported = self._stop
-                self._report_stop(reported)
+            self._report_stop()
             if time.monotonic() - self._alive_s > SILENCE_S:
                 raise JobError(
                     f"robot {self.node.robot}: no message for {SILENCE_S:.0f} s; see the "
@@ -216,17 +215,24 @@ class EpisodeClient:
         self._record.stamps_ns[message.tick] = message.stamp_ns
         return self._record
 
+    def _robot(self) -> Detail:
+        """Return the robot's status."""
+        return self.node.bus.call("robot", "status", Nothing(), Status).detail
+
     def _raise_fault(self) -> None:
         """Raise JobError with the error that ended the episode, if any."""
-        robot = self.node.bus.call("robot", "status", Nothing(), Status).detail
+        robot = self._robot()
         if robot.get("fault"):
             raise JobError(f"episode {self._episode} ended by an error: {robot['fault']}")
 
-    def _report_stop(self, cause: StopCause | None) -> None:
-        """Print why the robot stands; JobError if its body has failed and no operator can arm it."""
-        if cause is None:
+    def _report_stop(self) -> None:
+        """Print a new reason why the robot stands; JobError if its body has failed and no operator can arm it."""
+        cause = self._stop
+        changed = cause != self._reported_stop
+        self._reported_stop = cause
+        if cause is None or not changed:
             return
-        robot = self.node.bus.call("robot", "status", Nothing(), Status).detail
+        robot = self._robot()
         why = f"the robot stands: {cause.replace('_', ' ')}"
         if cause == "fault":
             why = f"the robot's body has failed: {robot.get('fault')}"
@@ -237,7 +243,7 @@ class EpisodeClient:
 
     def _await_judge(self) -> None:
         """Give the operator time to confirm the goal if only a person can judge it."""
-        robot = self.node.bus.call("robot", "status", Nothing(), Status).detail
+        robot = self._robot()
         if robot.get("judge") == "operator" and robot.get("operator"):
             said = (
                 f"the robot announces its arrival; confirm it within {JUDGED_S:.0f} s "
@@ -250,7 +256,7 @@ class EpisodeClient:
         """Arm a robot that has not been armed since its start; later stops need a person."""
         if self._armed:
             return
-        robot = self.node.bus.call("robot", "status", Nothing(), Status).detail
+        robot = self._robot()
         if robot.get("stop_cause") == "not_armed" and not robot.get("attended"):
             request = ArmRequest(stop=int(robot["latched_stop"] or 0), session=self.node.session)
             self.node.bus.call("robot", "arm", request, Nothing)

@@ -215,7 +215,11 @@ class _Columns:
         self._cell_height_m = robot.climb_m / _CLIMB
         self._top = math.ceil(robot.top_m / self._cell_height_m)
         size_m = np.array([self._cell_m, self._cell_m, self._cell_height_m])
-        self._middle = np.append(_middle(faces), 0.0)
+        farthest_m = _FARTHEST * self._cell_m
+        reach_m = np.array([farthest_m, farthest_m, math.inf])
+        middle = np.append(_middle(faces), 0.0)
+        self._from_m = middle - reach_m
+        self._to_m = middle + reach_m
         low, high = self._bounds(faces)
         self._low = low - _MARGIN * size_m
         # Room above the highest cell, so that a search for the robot's height stays in its column.
@@ -241,12 +245,15 @@ class _Columns:
         """Return the lowest and the highest coordinates (3,) of the surfaces, without outliers."""
         lowest = np.concatenate([one.corners.min(axis=1) for one in faces])
         highest = np.concatenate([one.corners.max(axis=1) for one in faces])
-        reach_m = np.append(np.full(2, _FARTHEST * self._cell_m), np.inf)
-        from_m = self._middle - reach_m
-        to_m = self._middle + reach_m
-        near = ((lowest < to_m) & (highest > from_m)).all(axis=1)
-        low = np.maximum(lowest[near].min(axis=0), from_m)
-        return low, np.minimum(highest[near].max(axis=0), to_m)
+        near = self._are_near(lowest, highest)
+        low = np.maximum(lowest[near].min(axis=0), self._from_m)
+        return low, np.minimum(highest[near].max(axis=0), self._to_m)
+
+    def _are_near(
+        self, lowest: NDArray[np.float64], highest: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        """Return which boxes, given by their corners (n, 3), are not all among the outliers."""
+        return np.asarray(((lowest < self._to_m) & (highest > self._from_m)).all(axis=1))
 
     def _samples(
         self, faces: Sequence[PartFaces], progress: Callable[[int, int], None]
@@ -268,8 +275,7 @@ class _Columns:
                 number = np.arange(start, min(start + _BLOCK, count))
                 which = np.searchsorted(ends, number, side="right")
                 points = _points_in(one.corners[which], rng)
-                off = np.abs(points[:, :2] - self._middle[:2]).max(axis=1)
-                near = off < _FARTHEST * self._cell_m
+                near = self._are_near(points, points)
                 yield points[near], faces_up[which[near]]
             done += count
         progress(total, total)

@@ -84,10 +84,9 @@ def _without_scouts(self: Filter, seen: ViewEvidence) -> None:
     """Weigh as `Filter` does, but let nobody look elsewhere: who is not lost is where the wheels lead."""
     odds = self._odds
     tracked = (odds.tracked + odds.sent + odds.turned_in) * self._tracked.update(seen, self._rng)
-    elsewhere = odds.away + odds.lost
-    total = tracked + elsewhere
+    total = tracked + odds.unknown
     self._odds = odds._replace(
-        tracked=tracked / total, sent=0.0, turned_in=0.0, away=0.0, lost=elsewhere / total
+        tracked=tracked / total, sent=0.0, turned_in=0.0, away=0.0, lost=odds.unknown / total
     )
 
 

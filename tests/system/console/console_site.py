@@ -139,8 +139,7 @@ def begin_a_drive(page: Page, site: Site, world: str = "yard") -> None:
 def show(page: Page, panel: str) -> None:
     """Show a step or the details; a running episode is ended first, since it keeps its own step."""
     if data(page, "episode") and panel != "Details":
-        with suppress(Error):
-            page.click("#actions :is([data-does=end], [data-does=quit])", timeout=5000.0)
+        _press(page, ":is([data-does=end], [data-does=quit])")
         act(page, "Really end?")
         eventually(lambda: data(page, "episode") == "")
     page.click(f"#steps button:has-text('{panel}')")
@@ -148,8 +147,12 @@ def show(page: Page, panel: str) -> None:
 
 def act(page: Page, name: str) -> None:
     """Press a button of the header, if it is there."""
+    _press(page, f"button:has-text('{name}')")
+
+
+def _press(page: Page, selector: str) -> None:
     with suppress(Error):
-        page.click(f"#actions button:has-text('{name}')", timeout=5000.0)
+        page.click(f"#actions {selector}", timeout=5000.0)
 
 
 def drive_ahead(page: Page, site: Site) -> None:
