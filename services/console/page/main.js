@@ -63,7 +63,7 @@ async function onPicture(blob) {
 }
 
 const steady = new Steady();
-let chosen = null, details = false, led = { does: [] }, changedMs = 0, refused = "";
+let chosen = null, details = false, led = { does: [] }, changedMs = 0, refused = "", lastEvent = "";
 /** A refusal stays in the header until the person acts. */
 for (const acts of ["pointerdown", "keydown"]) addEventListener(acts, () => { refused = ""; }, true);
 
@@ -88,11 +88,11 @@ function drawLead() {
   };
   const before = led;
   if (before.does[0] === "withdraw" && robot && !robot.waiting && !robot.episode) refused = watch.state.news?.at(-1)?.text ?? "";
-  led = lead({ ...state, refused });
-  if (led.next !== before.next) {  // the page leads to the new step
-    [chosen, details] = [null, false];
-    led = lead({ ...state, refused, chosen });
-  }
+  // An episode, or learning, that begins or ends leads to the next step; a change of the lists keeps a chosen step.
+  const event = [robot?.episode, job?.kind === "model" && String(job.outcome)].join();
+  if (event !== lastEvent) [chosen, lastEvent] = [null, event];
+  led = lead({ ...state, refused, chosen });
+  if (chosen === null) details &&= led.next === before.next;
   const [level, text] = steady.show(led.level, led.text, robot?.episode ?? "", performance.now());
   $(".pill").className = `pill ${level}`;
   say($("#status"), text);

@@ -150,7 +150,6 @@ def test_a_model_learns_more_from_the_runs_of_today(
     page.click("#steps [data-panel=run]")
     page.wait_for_selector("#learn-today:visible")
     assert page.inner_text("#learn-today") == "Learn from today's 2 runs"
-    page.click("#steps [data-panel=run]")
     page.click("#learn-today")
     ask = eventually(lambda: next((ask for ask in nobody.asked if ask.do == "add"), None))
     assert (ask.model, ask.recordings) == ("models/way.smal", ("drives/a.mcap", "drives/b.mcap"))
@@ -197,6 +196,26 @@ def test_step_and_reason_stay_when_a_run_is_refused(page: Page, board: Board) ->
     assert page.is_visible("#run")
     page.keyboard.press("Tab")
     page.wait_for_selector("#status:has-text('Recorder')", state="hidden")
+
+
+def test_chosen_step_stays_until_an_episode_begins_or_ends(page: Page, board: Board) -> None:
+    between = {"episode": None, "answers": True, "emergency": False, "waiting": False, "at": 0.0}
+    board.put("robot", between)
+    tell_robot(board, world="yard", worlds="campus, yard")
+    tell_models(board, way=["victim"])
+    page.wait_for_selector("#run:visible")
+    page.click("#steps [data-panel=teach]")
+    # A drive that nothing has been learned from arrives in the list.
+    library = {"folder": "drives", "models": [], "recordings": [recording("a")]}
+    board.put("library", library)
+    page.wait_for_selector("#recordings input", state="attached")
+    page.wait_for_selector("#steps [data-panel=learn][aria-current]")
+    assert page.is_visible("#teach")
+    board.put("robot", DRIVE | {"at": board.clock()})
+    page.wait_for_selector("#actions :text('Found: end here')")
+    ended = {"episode": None, "outcome": "found", "result": "found", "at": board.clock()}
+    board.put("robot", DRIVE | ended)
+    page.wait_for_selector("#learn:visible")
 
 
 def test_sentence_stays_when_the_reason_changes_with_each_frame(page: Page) -> None:
