@@ -35,6 +35,8 @@ class Situation:
         As in `Planner.decide`.
     doing, motion
         Kind and motion of the last decision.
+    turned_rad
+        Turn to the left by that motion.
     directions, weights
         Direction (p,) to each particle's aim, and its weight (p,); 0 without a way to the goal.
     heading_rad, underway_rad
@@ -60,6 +62,7 @@ class Situation:
     elapsed_s: float
     doing: Kind | None
     motion: Motion
+    turned_rad: float
     directions: Floats
     weights: Floats
     heading_rad: float
@@ -157,7 +160,7 @@ class LookAround(Behaviour):
         """Count the turn, and the way since the robot looked around."""
         self._stay_or_begin(now.belief)
         if now.doing == "look_around":
-            self._turn(abs(now.motion[1]) * self._chassis.turn_rad_s * now.elapsed_s)
+            self._turn(abs(now.turned_rad))
         ahead = self._chassis.speed * max(now.motion[0], 0.0) * now.elapsed_s
         self._followed = self._followed + ahead if now.doing == "follow" else 0.0
         self._guessed_s += now.elapsed_s if now.doing == "guess" else 0.0
@@ -440,7 +443,7 @@ class Guess(Behaviour):
         if now.doing != "guess":
             self._heading_rad = None
         elif self._heading_rad is not None:
-            self._heading_rad -= now.motion[1] * self._chassis.turn_rad_s * now.elapsed_s
+            self._heading_rad -= now.turned_rad
 
     def propose(self, now: Situation) -> Intent | None:
         """Turn to the direction, and drive straight."""

@@ -213,6 +213,7 @@ class Planner:
             elapsed_s=elapsed_s,
             doing=self._doing,
             motion=self._steering.motion,
+            turned_rad=self._steering.motion[1] * self._chassis.turn_rad_s * elapsed_s,
             directions=directions,
             weights=weights,
             heading_rad=math.atan2(mean.imag, mean.real),
