@@ -10,24 +10,23 @@ import pytest
 from xdist.scheduler import LoadScopeScheduling
 from xdist.workermanage import WorkerController
 
-#: What drives robots in real time, and waits more than it computes: one process does the whole folder.
-REAL_TIME: Final = ("tests/system/console/", "tests/ros2/", "tests/serial/", "tests/system/")
-#: The longest files outside of `REAL_TIME`. At the end of a run, the other processes wait for them.
-LONG: Final = (
+#: Folders that drive robots in real time. One process does all of them: two robots at once are too much for two cores.
+REAL_TIME: Final = ("tests/system/", "tests/ros2/", "tests/serial/")
+#: What begins first: at the end of a run, the other processes would wait for it.
+FIRST: Final = (
+    *REAL_TIME,
     "tests/smal/",
     "tests/services/simulator/test_scans.py",
     "tests/services/robot/test_other_simulators.py",
 )
-#: Order of the longest: pure computing between two and two folders, so that only two of them drive at once.
-FIRST: Final = (*REAL_TIME[:2], *LONG, *REAL_TIME[2:])
 
 
 class Sharing(LoadScopeScheduling):
-    """Gives a process that is free the next file, with what its tests share, or the next folder of `REAL_TIME`."""
+    """Gives a process that is free the next file, with what its tests share, or all of `REAL_TIME`."""
 
     def _split_scope(self, nodeid: str) -> str:
         file, _, _ = nodeid.partition("::")
-        return next((folder for folder in REAL_TIME if nodeid.startswith(folder)), file)
+        return "real time" if nodeid.startswith(REAL_TIME) else file
 
     def remove_node(self, node: WorkerController) -> str | None:
         """Share out what a process had left; return the test that it crashed in, which has failed.

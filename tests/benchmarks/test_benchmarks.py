@@ -12,6 +12,7 @@ from tests.benchmarks.recognition import benchmark as recognition
 from tests.smal.synthetic_world import COLOR, COLUMNS, ROWS
 
 
+@pytest.mark.long
 def test_large_traverses_are_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(places, "QUICK", (60,))
     monkeypatch.setattr(places, "FEATURES", places.FEATURES.of(["thumbnail"]))
@@ -22,6 +23,7 @@ def test_large_traverses_are_measured(tmp_path: Path, monkeypatch: pytest.Monkey
     assert [one["verdict"] for one in results["targets"]] == ["met", "met"]
 
 
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.parametrize(
     ("flags", "ways", "targets"),
@@ -54,6 +56,7 @@ TINY = recognition.Plan(
 )
 
 
+@pytest.mark.long
 def test_recognition_is_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -73,6 +76,7 @@ def test_recognition_is_measured(
     assert "Time over one float32 product" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_the_way_is_followed_and_timed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(route, "MAP_CONFIG", MapConfig(most_components=200))
     monkeypatch.setattr(route, "IMAGE", (ROWS, COLUMNS))

@@ -14,6 +14,7 @@ pytestmark = [
 ]
 
 
+@pytest.mark.long
 def test_robot_finds_the_victim_when_it_was_taught_once(near: Path, tmp_path: Path) -> None:
     """Allow three searches: a busy machine may be too slow for a real robot."""
     flags = ("--world", near, "--runs", "3", "--until-found", "--folder", tmp_path)

@@ -102,6 +102,7 @@ class Person:
         return self.client.run(search, on_begin=self._begin).said
 
 
+@pytest.mark.long
 def test_robot_finds_the_goal_when_it_was_taught_once(tmp_path: Path) -> None:
     """Allow three searches: a busy machine may be too slow for a real robot."""
     base = FakeBase(tmp_path / "base", "tcp")

@@ -97,7 +97,7 @@ def test_filter_follows_a_bend_when_atoms_report_another_speed(
     seen = drive(way=((2.5, 90.0), (1.0, 0.0)), rate_hz=20.0)
     features = [extract(ROOM.look(pose), COLOR) for pose in seen.poses]
     errors = []
-    for seed in range(8):
+    for seed in range(4):
         found = Filter(*usual_map(), seed=seed)
         beliefs = [found.observe(features[0])]
         for raw, movement in zip(features[1:], seen.movements(), strict=True):
@@ -398,6 +398,7 @@ def test_robot_is_not_sure_before_it_has_turned_to_the_way(turn_deg: float) -> N
     assert off(beliefs[-1], poses[-1])[0] < 0.2 or beliefs[-1].is_lost
 
 
+@pytest.mark.long
 def test_place_is_likelier_when_the_robot_turns_to_the_way() -> None:
     shares = []
     for start in range(15, 95, 5):

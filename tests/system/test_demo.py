@@ -115,6 +115,7 @@ def test_setup_ends_with_the_next_command() -> None:
     assert last == 'say "done; next: source .venv/bin/activate"'
 
 
+@pytest.mark.long
 @pytest.mark.rendering
 def test_demo_opens_the_page_in_the_browser(near: Path, tmp_path: Path) -> None:
     browser = tmp_path / "browser"

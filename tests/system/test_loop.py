@@ -46,6 +46,7 @@ def test_drive_is_recorded_drawn_and_learned(taught: Path) -> None:
     assert len(model.mapped.keyframes) == report["keyframes"]
 
 
+@pytest.mark.long
 def test_run_finds_the_victim_from_anywhere_after_a_kidnap(
     near: Path, taught: Path, tmp_path: Path
 ) -> None:
@@ -59,12 +60,14 @@ def test_run_finds_the_victim_from_anywhere_after_a_kidnap(
     assert "://" not in page.split("</style>")[1]
 
 
+@pytest.mark.long
 def test_paper_scheme_runs_in_real_time(near: Path, taught_paper: Path, tmp_path: Path) -> None:
     more = ("--scheme", "paper", "--realtime", "--camera", "160x120", "--max-ticks", 60)
     found = run_json(near, taught_paper, tmp_path / "paper.json", *more)
     assert set(outcomes(found)) <= {"found", "collision", "timeout"}
 
 
+@pytest.mark.long
 def test_two_robots_find_victims_while_an_instance_is_killed(
     near: Path, taught: Path, tmp_path: Path
 ) -> None:

@@ -104,6 +104,7 @@ def running(
             one.process.wait()
 
 
+@pytest.mark.long
 def test_pods_find_the_victim_without_the_first_router(
     near: Path, taught: Path, tmp_path: Path
 ) -> None:

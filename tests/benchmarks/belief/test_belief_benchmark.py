@@ -36,6 +36,7 @@ def asked() -> tuple[belief.Judge, belief.Asked, belief.Asked]:
     return judge, drive(unpacked(mapped.views[near, 1, STRAIGHT])), drive(strange)
 
 
+@pytest.mark.long
 def test_what_is_left_out_is_missed(
     asked: tuple[belief.Judge, belief.Asked, belief.Asked], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -208,6 +208,7 @@ def test_model_is_absent_when_the_disk_is_full(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [recording]
 
 
+@pytest.mark.long
 def test_model_stays_when_the_disk_is_full_for_its_copy(tmp_path: Path) -> None:
     drives = recorded(tmp_path / "runs", 6)
     model = corridor.save_model(tmp_path / "way.smal")

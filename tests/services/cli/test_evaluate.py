@@ -46,6 +46,7 @@ def done_in(folder: Path) -> dict[str, dict[str, object]]:
     }
 
 
+@pytest.mark.long
 @pytest.mark.rendering
 @pytest.mark.timeout(1200)
 def test_an_evaluation_goes_on_where_it_was_interrupted(

@@ -88,6 +88,7 @@ def test_laps_take_a_frame_rate_when_a_tub_was_copied(tub: Path, tmp_path: Path)
     assert len(read_laps(copied, lambda *_: None, 10.0)) == len(LAPS) - 1
 
 
+@pytest.mark.long
 def test_laps_page_shows_recognition_when_one_lap_teaches(
     tub: Path, tmp_path: Path, smal: Smal, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -65,6 +65,7 @@ def test_a_part_of_a_map_about_a_place(imported: Imported) -> None:
     assert world.place.bounds == pytest.approx((-80, -80, 80, 80), abs=0.01)
 
 
+@pytest.mark.long
 @pytest.mark.rendering
 def test_the_pictures_are_there_with_names_that_say_where(tmp_path: Path, smal: Smal) -> None:
     rendered = ("world", "render", "yard", "--views", 3, "--camera", "160x120", "--out")

@@ -124,6 +124,7 @@ def test_a_job_that_does_not_hear_is_ended(
     assert not jobs.running
 
 
+@pytest.mark.long
 def test_model_learns_more_from_runs_and_reports_the_result(tmp_path: Path) -> None:
     (tmp_path / "models").mkdir()
     (tmp_path / "drives").mkdir()

@@ -83,6 +83,7 @@ def test_workers_match_threads_when_workers_are_killed(
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.long
 def test_remote_scheduler_matches_threads_when_authenticated(
     address: str, keys: Path, tmp_path: Path
 ) -> None:

@@ -31,6 +31,7 @@ BEGIN_S = (
 )  # When laps of it begin, seconds after the second session does; they take 3.5 s.
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not CIRCLES.is_dir(), reason=f"{CIRCLES} is not here")
 def test_lap_of_a_real_car_teaches_other_laps(
     tmp_path: Path,

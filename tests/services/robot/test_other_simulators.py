@@ -207,6 +207,7 @@ def stack(folder: Path) -> Iterator[str]:
             process.wait()
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_stack_drives_and_records_the_example(tmp_path: Path) -> None:
     with stack(tmp_path) as endpoint:

@@ -57,6 +57,7 @@ def variants_of(mapped: VisualMap) -> int:
     return int(np.bincount(mapped.variants, minlength=1).max())
 
 
+@pytest.mark.long
 def test_changed_places_get_a_variant_that_fits_the_day() -> None:
     grown = with_view_variants(model(), [run(7, 0.5)])
     taught = model().mapped

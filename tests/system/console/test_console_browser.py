@@ -73,6 +73,7 @@ def test_teach_once_learn_run_found(page: Page, site: Site) -> None:
     assert opened_page.value.locator("svg polyline").count() == 1
 
 
+@pytest.mark.long
 def test_map_becomes_a_world_when_it_is_dropped(page: Page, site: Site) -> None:
     show(page, "Teach")
     drop(page, WORLDS_FOLDER / "yard.osm", "My town!.osm")
@@ -181,6 +182,7 @@ def killed(site: Site) -> Iterator[None]:
         site.pid_of_console()
 
 
+@pytest.mark.long
 def test_robot_stands_without_its_console_until_it_is_armed(
     browser: Browser, site: Site, lost_s: Lost
 ) -> None:

@@ -66,6 +66,7 @@ def simulation(near: Path) -> Simulation:
     return open_simulation(str(near), CameraSettings(160, 120), depth=True)
 
 
+@pytest.mark.long
 @pytest.mark.rendering
 @pytest.mark.parametrize("scheme", ["filter", "paper"])
 def test_search_is_bit_identical_in_process_and_in_services(

@@ -116,6 +116,7 @@ def test_other_drivers_continue_when_one_driver_fails(tmp_path: Path) -> None:
     assert {*results.findings} == {*others}
 
 
+@pytest.mark.long
 def test_unit_is_reported_when_it_kills_its_workers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
