@@ -216,6 +216,7 @@ def test_robot_goes_round_what_it_touches(boxes: list[Box]) -> None:
     assert 0 < touched < 70
 
 
+@pytest.mark.long
 def test_robot_looks_around_when_it_touches_things_again() -> None:
     x, _, kinds = drives([(2.0, -9.0, 2.4, 9.0, 1.0)])
     assert x < 2.0

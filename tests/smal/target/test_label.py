@@ -56,6 +56,7 @@ def model() -> Model:
     )
 
 
+@pytest.mark.long
 def test_robot_finds_its_tag_and_no_other(
     tmp_path: Path,
 ) -> None:

@@ -15,7 +15,13 @@ from tests.smal.synthetic_world import COLOR, Room, drive
 
 ROOM = Room()
 WAY = drive(way=((2.0, 90.0), (1.5, 0.0)))
-FIELDS_DEG = [60.0, 120.0, 160.0, 180.0, 220.0]
+FIELDS_DEG = [
+    60.0,
+    pytest.param(120.0, marks=pytest.mark.long),
+    pytest.param(160.0, marks=pytest.mark.long),
+    180.0,
+    220.0,
+]
 
 
 @cache

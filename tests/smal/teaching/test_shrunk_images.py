@@ -44,7 +44,7 @@ def test_percept_is_equal_when_the_image_is_shrunk_before(size: tuple[int, int])
     assert seen.shape[0] <= 240 or seen.shape[1] <= 320
 
 
-@pytest.mark.parametrize("size", [(640, 480), (640, 360)])
+@pytest.mark.parametrize("size", [(640, 480), pytest.param((640, 360), marks=pytest.mark.long)])
 def test_map_is_equal_when_the_images_are_shrunk_before(size: tuple[int, int]) -> None:
     large = drive_at(*size)
     expected = taught([looked_at(image, COLOR) for image in large])

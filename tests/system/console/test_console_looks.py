@@ -60,6 +60,7 @@ VIOLATIONS = """axe.run({resultTypes: ["violations"]}).then(({violations}) => vi
     ({id, nodes}) => `${id}: ${nodes.map(({target}) => target.join(" ")).join(", ")}`))"""
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("taught_here")
 def test_axe_core_finds_no_violation(page: Page, site: Site) -> None:
     axe = pytest.importorskip(

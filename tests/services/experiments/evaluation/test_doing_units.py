@@ -83,6 +83,7 @@ def found(
     patch.undo()
 
 
+@pytest.mark.long
 def test_units_return_json_and_write_their_files(
     found: tuple[Path, dict[Unit, Finding]],
 ) -> None:
