@@ -106,7 +106,8 @@ class Compared:
         inside = np.zeros_like(above)
         inside[window.inside] = above[window.inside]
         low, right = (np.argwhere(inside).mean(axis=0) + 0.5) / inside.shape - 0.5
-        return Extent(math.sqrt(above.sum()), float(low), -float(right))
+        cut = above[-1 if low > 0.0 else 0, window.inside[1]].any()
+        return Extent(math.sqrt(above.sum()), float(low), -float(right), bool(cut))
 
 
 class Window(NamedTuple):
@@ -125,6 +126,8 @@ class Extent(NamedTuple):
     #: Centre below, and left of, the middle of the picture, as shares of its height and width.
     low: float
     left: float
+    #: Whether the border cuts it through which it leaves the view of a camera that comes nearer.
+    cut: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +177,7 @@ class TargetAppearance:
         extent = compared.extent(window, self.evidence.usual)
         log_near, error = self.distance.log_near(extent.size, extent.low)
         log_ratio = self.evidence.log_ratio(window.score, noise)
-        return Sighting(log_ratio, log_near, error, extent.left)
+        return Sighting(log_ratio, log_near, error, extent.left, extent.cut)
 
 
 def _sums(cells: Float32s, rows: int, columns: int) -> NDArray[np.float64]:

@@ -70,13 +70,20 @@ class TargetDetector:
         return TargetEstimate(probability, self._near(place), latest.left)
 
     def _near(self, place: tuple[float, float] | None) -> float:
-        """Return the joint estimate of the distance from the views of this moment, and from the place."""
+        """Return the joint estimate of the distance from the views of this moment, and from the place.
+
+        A target that the border cuts can be nearer than it looks. The view is then a bound, within
+        which the place decides.
+        """
         seen = [sighting for _, sighting in self._recent if sighting.log_ratio > 0.0]
         log_near = float(np.mean([sighting.log_near for sighting in seen]))
-        estimates = [(log_near, seen[-1].error)]
         if self._appearance is not None and place is not None:
-            estimates.append(self._appearance.distance.log_near_of_place(*place))
-        return min(math.exp(combined(*estimates)[0]), 1e3)
+            of_place = self._appearance.distance.log_near_of_place(*place)
+            if seen[-1].cut:
+                log_near = max(log_near, of_place[0])
+            else:
+                log_near, _ = combined((log_near, seen[-1].error), of_place)
+        return min(math.exp(log_near), 1e3)
 
     def _evidence(self, picture: Image, detected: Iterable[Detection]) -> Sighting:
         """Return the joint evidence: log ratios add up, and the strongest evidence gives the direction."""
@@ -87,4 +94,4 @@ class TargetDetector:
         visible = [each for each in found if each.log_ratio > 0.0] or [strongest]
         log_near, error = combined(*((each.log_near, each.error) for each in visible))
         log_ratio = sum(each.log_ratio for each in found)
-        return Sighting(log_ratio, log_near, error, strongest.left)
+        return Sighting(log_ratio, log_near, error, strongest.left, strongest.cut)

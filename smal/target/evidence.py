@@ -30,6 +30,8 @@ class Sighting(NamedTuple):
     error: float
     #: Left of the middle of the picture, as a share of the width, -0.5 to 0.5.
     left: float
+    #: Whether the border cuts the target, so that it can be nearer than `log_near`.
+    cut: bool = False
 
 
 #: Picture without the target.

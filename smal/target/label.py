@@ -40,10 +40,11 @@ class TargetLabel:
         log_ratio = self.evidence.log_ratio(score)
         if detection is None or area(detection) == 0.0:
             return NOTHING._replace(log_ratio=log_ratio)
-        left, _, right, _ = detection.box
+        left, top, right, bottom = detection.box
         middle = min(max((left + right) / 2.0, 0.0), 1.0)
         log_near = math.log(area(detection) / self.size) / 2.0
-        return Sighting(log_ratio, log_near, _SIZE_ERROR, 0.5 - middle)
+        cut = top <= 0.0 or bottom >= 1.0
+        return Sighting(log_ratio, log_near, _SIZE_ERROR, 0.5 - middle, cut)
 
 
 def area(detection: Detection) -> float:

@@ -19,7 +19,14 @@ from smal.features.cells import NUMBERS, cells_of, nearest
 from smal.features.detectors import Detection
 from smal.features.extraction import in_parallel
 from smal.features.resizing import SHAPE
-from smal.target.appearance import SIZES, TARGET_CONFIG, Compared, TargetAppearance, lower_quantile
+from smal.target.appearance import (
+    SIZES,
+    TARGET_CONFIG,
+    Compared,
+    TargetAppearance,
+    Window,
+    lower_quantile,
+)
 from smal.target.distance import Distance
 from smal.target.evidence import ScoreEvidence
 from smal.target.label import TargetLabel, area, best
@@ -129,14 +136,28 @@ def learn_appearance(drives: Sequence[Taught]) -> TargetAppearance | None:
     evidence = ScoreEvidence.fit(scores, usual, TARGET_CONFIG.sure)
     if evidence is None:
         return None
-    # Further away the target has hardly a cell.
-    clear = [k for k, score in enumerate(scores) if score > evidence.most]
-    left_s = np.array([patches[k].left_s for k in clear])
-    sizes, lows, _ = np.array([here[k].extent(found[k], evidence.usual) for k in clear]).T
-    distance = Distance.fit(left_s, sizes, lows, TARGET_CONFIG.end_s)
+    distance = _distance(patches, here, found, evidence)
     unlike = max(each.unlike for each in elsewhere)
     codes = target.astype(np.float16), others.astype(np.float16)
     return TargetAppearance(*codes, windows, unlike, evidence, distance)
+
+
+def _distance(
+    patches: Sequence[_Patch],
+    here: Sequence[Compared],
+    found: Sequence[Window],
+    evidence: ScoreEvidence,
+) -> Distance:
+    """Calibrate the distance on the views of the approach in which the target is whole."""
+    # Further away the target has hardly a cell.
+    clear = [
+        (patch.left_s, each.extent(window, evidence.usual))
+        for patch, each, window in zip(patches, here, found, strict=True)
+        if window.score > evidence.most
+    ]
+    whole = [(left_s, extent) for left_s, extent in clear if not extent.cut] or clear
+    left_s, sizes, lows = np.array([(left_s, one.size, one.low) for left_s, one in whole]).T
+    return Distance.fit(left_s, sizes, lows, TARGET_CONFIG.end_s)
 
 
 def _tracked(drives: Sequence[Taught], way: _Way) -> list[_Patch]:

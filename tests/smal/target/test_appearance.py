@@ -113,6 +113,32 @@ def test_target_is_near_when_it_is_as_large_as_taught() -> None:
     assert near[2] > 0.9
 
 
+def test_target_is_near_at_the_end_when_the_border_cuts_it() -> None:
+    """The thing lies on the ground, so that it leaves the view at the bottom."""
+    colours = np.random.default_rng(1).integers(0, 255, (4, 8, 3), dtype=np.uint8)
+    last = STEPS + 3
+
+    def lying(step: float) -> Image:
+        picture = view(step)
+        size = round(14 * 8 / (STEPS + 7 - step)) if step > STEPS - 16 else 0
+        top = round(30 + 0.7 * size)
+        thing = cv2.resize(colours, (2 * max(size, 1), max(size, 1)))[: min(size, SHAPE[0] - top)]
+        left = SHAPE[1] // 2 - size
+        picture[top : top + len(thing), left : left + 2 * size] = thing[:, : 2 * size]
+        return picture
+
+    left_s = (last - np.arange(last + 1)) / SPEED
+    learned = learn_appearance(
+        [Taught([lying(step) for step in range(last + 1)], left_s, ends=True)]
+    )
+    assert learned is not None
+    for step in (last - 0.4, last + 0.2):
+        place = ((last - step) / SPEED, 0.1)
+        estimate = TargetDetector(learned).observe(lying(step), place=place)
+        assert estimate.probability > PLANNER_CONFIG.in_view
+        assert estimate.near == pytest.approx(4 / (STEPS + 7 - step), abs=0.08)
+
+
 @pytest.mark.parametrize("gain", [0.35, 0.7, 1.6])
 def test_target_is_found_near_when_the_light_differs(gain: float) -> None:
     light = np.clip(gain * view(STEPS - 1.4, ORANGE, BLUE).astype(float), 0, 255).astype(np.uint8)
