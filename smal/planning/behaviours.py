@@ -252,14 +252,14 @@ class Search(Behaviour):
 
     def judge(self, now: Situation) -> Said | None:
         """Return the certain result, if any; otherwise decide whether to approach, or to go on to another end."""
-        stops_before_it = self._nears and self._back_off.begins
+        as_near_as_it_can = self._as_near_as_it_can(now)
         self._nears = False
         if now.unseen and not now.sees:
             return None
         sure = self._sure(now)
         if not self.arrived and now.at_end and sure:
             self._arrive(now.belief)
-        if self._finds(now.target, sure, stops_before_it):
+        if self._finds(now.target, sure, as_near_as_it_can):
             return "found"
         self._nears = self._may_approach(now.target, sure)
         if self.arrived:
@@ -289,11 +289,15 @@ class Search(Behaviour):
         at_goal = now.at_goal * (1.0 - now.belief.lost)
         return (followed or looked) and at_goal > self._config.arrived
 
-    def _finds(self, target: TargetEstimate | None, sure: bool, stops_before_it: bool) -> bool:
+    def _as_near_as_it_can(self, now: Situation) -> bool:
+        """Return whether an obstacle, such as the target itself, stops the approach."""
+        return self._nears and (now.doing == "blocked" or self._back_off.begins)
+
+    def _finds(self, target: TargetEstimate | None, sure: bool, as_near_as_it_can: bool) -> bool:
         """Return whether the target is in view, and about as near as where the taught ways ended."""
         if target is None:
             return self.arrived
-        as_near = self._config.as_near_as_it_can if stops_before_it else self._config.as_near
+        as_near = self._config.as_near_as_it_can if as_near_as_it_can else self._config.as_near
         near = self.arrived and target.near > 1.0 / as_near
         return self._in_view(target) and (near or (sure and target.near > 1.0))
 

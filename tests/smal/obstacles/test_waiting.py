@@ -135,15 +135,17 @@ def test_robot_waits_when_a_person_hides_the_target() -> None:
     assert planner.said == "found"
 
 
-def test_search_ends_when_a_thing_stands_before_the_target() -> None:
+@pytest.mark.parametrize(("near", "said"), [(0.3, "not_here"), (0.59, "found")])
+def test_search_ends_when_a_thing_stands_before_the_target(near: float, said: str) -> None:
     planner = Planner(map_of(16.0))
     made = looks([(0.5, -0.4, 0.8, 0.4, 1.7)])
     assert made.free_m(ahead=True) == 0.0
     end = belief((160, 0.0, 0.0, 0.0))
     decisions = [
-        planner.decide(end, target=TargetEstimate(0.999, 0.3, 0.0), around=made) for _ in range(150)
+        planner.decide(end, target=TargetEstimate(0.999, near, 0.0), around=made)
+        for _ in range(150)
     ]
-    assert (decisions[0].kind, decisions[-1].kind, planner.said) == ("blocked", "goal", "not_here")
+    assert (decisions[0].kind, decisions[-1].kind, planner.said) == ("blocked", "goal", said)
 
 
 @pytest.mark.parametrize(("near", "said"), [(0.59, "found"), (0.3, None)])
