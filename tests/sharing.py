@@ -12,7 +12,7 @@ from xdist.workermanage import WorkerController
 
 #: Folders that drive robots in real time. One process does all of them: two robots at once are too much for two cores.
 REAL_TIME: Final = ("tests/system/", "tests/ros2/", "tests/serial/")
-#: What begins first: at the end of a run, the other processes would wait for it.
+#: Order of the longest tests. If they began late, the other processes would wait for them.
 FIRST: Final = (
     *REAL_TIME,
     "tests/smal/",
